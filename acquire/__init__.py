@@ -1,0 +1,1 @@
+"""The rig side: stage, camera, sweep, writer; promises that no committed frame is ever lost."""

@@ -1,0 +1,1 @@
+"""Cameras behind one protocol: the simulated camera and the real ones."""

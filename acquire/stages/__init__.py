@@ -1,0 +1,1 @@
+"""Motion controllers behind one protocol: the simulated stage and the real ones."""

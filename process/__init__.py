@@ -1,0 +1,1 @@
+"""From frames to points: fold, crossings, geometry, cloud, worker, viewer."""
