@@ -1,0 +1,81 @@
+"""What every camera can do: be armed for hardware triggers and hand over each frame with its id."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import msgspec
+from numpy.typing import NDArray
+
+from acquire.contract.messages import FrameFormat
+
+
+class CameraSettings(msgspec.Struct, frozen=True):
+    """What can be changed while previewing and is locked during a sweep."""
+
+    exposure_ms: float
+    gain: float
+    brightness_percent: float
+
+
+class CameraInfo(msgspec.Struct, frozen=True):
+    """What the camera is and which counters it has."""
+
+    kind: str
+    format: FrameFormat
+    counts_frames: bool = True
+    """False: ids are made up by the driver; a lost frame is only noticed by its absence."""
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """One frame as the camera delivered it. The pixels belong to the receiver and are never used again."""
+
+    pixels: NDArray[Any]
+    """[h, w] or [h, w, 3] RGB; uint8, or uint16 right-aligned."""
+    camera_frame_id: int
+    """The camera's own counter."""
+    exposure_start_ns: int
+    """CLOCK_MONOTONIC of the host, 0 unknown."""
+
+
+@dataclass(frozen=True)
+class CameraGone:
+    """The camera does not deliver any more (unplugged, restarted); ids start again when it is back."""
+
+    detail: str
+    back: bool = False
+    """True when it has come back and is armed again."""
+
+
+CameraSink = Callable[[CameraFrame | CameraGone], None]
+
+
+class Camera(Protocol):
+    """A camera. Frames come to the sink from the driver's thread, in the order of exposure."""
+
+    def open(self, sink: CameraSink) -> CameraInfo:
+        """Connect; frames go to ``sink`` from now on."""
+        ...
+
+    def close(self) -> None:
+        """Disarm and disconnect; idempotent, never raises."""
+        ...
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; returns what the camera really uses (limits, rounding)."""
+        ...
+
+    def arm(self) -> None:
+        """Deliver one frame for each hardware trigger from now on; stale frames are dropped before."""
+        ...
+
+    def disarm(self) -> None:
+        """Ignore triggers from now on; idempotent."""
+        ...
+
+    def snap(self) -> None:
+        """Take one frame now by software (preview, dark frame); it comes to the sink like any other."""
+        ...

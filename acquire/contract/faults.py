@@ -1,0 +1,80 @@
+"""The table of faults: what happened, what is safe, what to do, in the words that the operator reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .messages import FaultReport
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the table; the texts are templates filled by :func:`report`."""
+
+    code: str
+    happened: str
+    safe: str
+    to_do: str
+
+
+_KEPT = "{committed} of {expected} frames are saved"
+_ROWS = (
+    Fault("F01", "the rig daemon ended in mid-sweep", _KEPT, "start it again, then resume the scan"),
+    Fault("F02", "the rig daemon was frozen for {seconds} s", _KEPT, "nothing: the sweep goes on; look at the load"),
+    Fault("F03", "the writer is lost", _KEPT + "; no frame is triggered meanwhile", "nothing: it is being restarted"),
+    Fault(
+        "F04", "the disk is slower than the camera", "the stage waits, nothing is lost", "nothing, or lower the rate"
+    ),
+    Fault("F05", "no writer made the scan file ready in {seconds} s", "the stage has not moved", "start the writer"),
+    Fault("F06", "the disk is full: {detail}", _KEPT, "make room, or change storage.data_dir, then resume"),
+    Fault("F07", "the scan folder cannot be written: {detail}", _KEPT, "mend the disk or its permissions, then resume"),
+    Fault("F08", "the worker is away", _KEPT + "; the sweep goes on", "nothing: it catches up from the file"),
+    Fault("F09", "a viewer or console is slow", "the sweep does not notice", "nothing"),
+    Fault("F10", "a console or viewer went away", "the sweep goes on", "open it again"),
+    Fault("F11", "noise on the serial line: {detail}", "damaged blocks are resent", "check cable and ground"),
+    Fault("F12", "the stage's controller is gone: {detail}", _KEPT + "; the stage holds", "plug it in again"),
+    Fault("F13", "the stage's controller was reset", _KEPT + "; its position is not trusted", "home, then resume"),
+    Fault("F14", "another firmware: {detail}", "nothing has moved", "flash the firmware of this version"),
+    Fault("F15", "the host was too late for the stage", _KEPT + "; the stage holds", "resume; look at the load"),
+    Fault(
+        "F16",
+        "frame {frame} was lost {attempts} times",
+        _KEPT,
+        "check the trigger cable and the camera, then start again",
+    ),
+    Fault("F17", "the camera sent {count} frames that nobody triggered", "they are dropped", "check the trigger cable"),
+    Fault("F18", "the camera started again in mid-sweep", _KEPT + "; the stage holds", "nothing: frames are re-taken"),
+    Fault("F19", "frame {frame} was damaged {attempts} times: {detail}", _KEPT, "check the camera and its cable"),
+    Fault("F20", "{count} messages could not be read and were dropped", "the sweep goes on", "update all services"),
+    Fault("F21", "the calibration cannot be used: {detail}", "nothing has moved", "calibrate, or name another"),
+    Fault("F22", "the clock jumped by {seconds} s", "the sweep goes by the monotonic clock", "nothing"),
+    Fault("F23", "limit switch or emergency stop: {detail}", _KEPT + "; the stage stands", "clear it, home, resume"),
+    Fault("F24", "the service was told to stop", _KEPT, "start it again, then resume the scan"),
+    Fault("F25", "everything ended at once", _KEPT, "nothing: scans are checked at the next start; then resume"),
+    Fault("F26", "a second {detail} was started", "the first one goes on", "stop one of them"),
+    Fault("F27", "the light changed: {detail}", _KEPT + "; frames since then are marked", "look at the lamp and room"),
+)
+FAULTS: dict[str, Fault] = {row.code: row for row in _ROWS}
+
+
+def report(code: str, at_mono_ns: int = 0, **facts: object) -> FaultReport:
+    """The row ``code`` filled with facts; a fact that is not known stays visible as ``?``."""
+    row = FAULTS[code]
+    known = _Facts({name: str(value) for name, value in facts.items()})
+    return FaultReport(
+        code=code,
+        happened=row.happened.format_map(known),
+        safe=row.safe.format_map(known),
+        to_do=row.to_do.format_map(known),
+        at_mono_ns=at_mono_ns,
+    )
+
+
+def in_one_line(fault: FaultReport) -> str:
+    """``F03 the writer is lost: 412 of 527 frames are saved; it is being restarted``."""
+    return f"{fault.code} {fault.happened}: {fault.safe}; {fault.to_do}"
+
+
+class _Facts(dict[str, str]):
+    def __missing__(self, key: str) -> str:
+        return "?"

@@ -1,0 +1,28 @@
+"""What a finished scan promises in one number: the digest over the checksums of its frames."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from isal import isal_zlib
+from numpy.typing import NDArray
+
+from .states import Outcome
+
+
+def frame_crc32(pixels: NDArray[np.generic] | bytes | memoryview) -> int:
+    """crc32 (zlib's polynomial) of the stored bytes of one frame; the array must be C-contiguous."""
+    return int(isal_zlib.crc32(pixels if isinstance(pixels, bytes) else memoryview(pixels).cast("B")))
+
+
+def scan_digest(crc32: NDArray[np.uint32]) -> str:
+    """sha256 (hex) over the little-endian uint32 crc32 of frames 0..n-1 in order, missing = 0."""
+    return hashlib.sha256(np.ascontiguousarray(crc32, dtype="<u4").tobytes()).hexdigest()
+
+
+def outcome_words(outcome: Outcome | str, committed: int, expected: int) -> str:
+    """The line that people read; SAVED is said only of a complete scan with nothing missing."""
+    if outcome == Outcome.COMPLETE and committed == expected:
+        return f"SAVED: {committed} of {expected} frames are safe"
+    return f"{outcome}: {committed} of {expected} frames are safe"

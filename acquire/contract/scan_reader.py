@@ -1,0 +1,288 @@
+"""Reads a scan at any moment of its life without disturbing the writer: layout once, then pread at offsets."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import h5py
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ScanFileError
+from .layout import (
+    CHECK_ROLES,
+    CHECKS_CRC32,
+    CHECKS_DATA,
+    CHECKS_STATUS,
+    DATA,
+    FRAME_FIELDS,
+    LAYOUT_VERSION,
+    SCALARS,
+    VERBATIM,
+    FrameStatus,
+    find_scan_file,
+)
+from .messages import FrameFormat
+from .outcome import frame_crc32
+from .plan import SweepPlan
+
+
+@dataclass(frozen=True)
+class Region:
+    """A contiguous dataset: where it lies in the file and what it holds."""
+
+    offset: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the whole region."""
+        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+
+@dataclass(frozen=True)
+class ScanLayout:
+    """Everything about a scan file that never changes once it exists."""
+
+    path: Path
+    scan_uid: str
+    start_time: str
+    program_version: str
+    format: FrameFormat
+    count: int
+    axis: str
+    regions: dict[str, Region]
+    """By dataset name: ``data``, the per-frame fields, the scalars, ``checks/...`` where present."""
+    verbatim: dict[str, bytes]
+    epoch_utc_ns: int
+
+    @property
+    def frame_nbytes(self) -> int:
+        """Bytes of one stored frame."""
+        return self.format.nbytes
+
+    def frame_offset(self, frame_index: int) -> int:
+        """File offset of a frame's pixels."""
+        return self.regions["data"].offset + frame_index * self.frame_nbytes
+
+    @property
+    def plan(self) -> SweepPlan | None:
+        """The plan of the sweep, None for imported folders."""
+        text = self.verbatim["plan"]
+        return msgspec.json.decode(text, type=SweepPlan) if text.strip() not in (b"", b"{}") else None
+
+    @property
+    def user(self) -> dict[str, Any]:
+        """name, specimen, operator, notes, tags, purpose."""
+        found = json.loads(self.verbatim["user"] or b"{}")
+        return found if isinstance(found, dict) else {}
+
+    @property
+    def purpose(self) -> str:
+        """``object``, ``calibration`` or ``raw``."""
+        return str(self.user.get("purpose", "object"))
+
+
+def read_layout(scan: Path) -> ScanLayout:
+    """Open SCAN once through HDF5, take its layout and offsets, close it again.
+
+    Raises:
+        ScanFileError: not a scan, damaged, of another layout version, or shorter than its layout says.
+    """
+    path = find_scan_file(scan)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            layout = _layout_of(path, file)
+    except (
+        OSError,
+        KeyError,
+        ValueError,
+        RuntimeError,
+        TypeError,
+        AttributeError,
+        msgspec.MsgspecError,
+    ) as error:
+        raise ScanFileError(f"{path} is not a readable scan file: {_first_line(error)}") from None
+    end = max(region.offset + region.nbytes for region in layout.regions.values())
+    if path.stat().st_size < end:
+        raise ScanFileError(f"{path} is truncated: {path.stat().st_size} of {end} bytes; restore it from a copy")
+    return layout
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _layout_of(path: Path, file: h5py.File) -> ScanLayout:
+    entry = file["entry"]
+    version = int(entry.attrs["layout_version"])
+    if version != LAYOUT_VERSION:
+        raise ScanFileError(f"{path} has layout version {version}, this program reads {LAYOUT_VERSION}")
+    data = file[DATA]
+    regions = {"data": _region(data)}
+    regions |= {name: _region(entry[f"data/{name}"]) for name in FRAME_FIELDS}
+    regions |= {name: _region(entry[name]) for name in SCALARS}
+    if "checks" in entry:
+        regions |= {f"checks/{name[15:]}": _region(file[name]) for name in (CHECKS_DATA, CHECKS_STATUS, CHECKS_CRC32)}
+    _check_fields(regions)
+    pixel_format = _text(entry["pixel_format"][()])
+    frame_format = msgspec.convert(
+        {
+            "height": data.shape[1],
+            "width": data.shape[2],
+            "bit_depth": int(entry["bit_depth"][()]),
+            "pixel_format": pixel_format,
+        },
+        FrameFormat,
+    )
+    if frame_format.shape != data.shape[1:] or np.dtype(frame_format.dtype) != data.dtype:
+        raise ScanFileError(
+            f"{path}: {data.dtype} {data.shape} does not fit {pixel_format} of {frame_format.bit_depth} bit"
+        )
+    axes = entry["data"].attrs["axes"]
+    clock = entry["data/exposure_start_ns"].attrs
+    return ScanLayout(
+        path=path,
+        scan_uid=_text(entry.attrs["scan_uid"]),
+        start_time=_text(entry.attrs["start_time"]),
+        program_version=_text(entry.attrs["program_version"]),
+        format=frame_format,
+        count=int(data.shape[0]),
+        axis=_text(axes[0]),
+        regions=regions,
+        verbatim={name: bytes(entry[name][()]).rstrip(b"\0") for name in VERBATIM},
+        epoch_utc_ns=int(clock.get("epoch_utc_ns", 0)),
+    )
+
+
+def _region(dataset: h5py.Dataset) -> Region:
+    offset = dataset.id.get_offset()
+    if offset is None:
+        raise ScanFileError(f"{dataset.name} is not stored contiguously")
+    return Region(int(offset), dataset.dtype, tuple(dataset.shape))
+
+
+def _check_fields(regions: dict[str, Region]) -> None:
+    count = regions["data"].shape[0]
+    for name, dtype in FRAME_FIELDS.items():
+        region = regions[name]
+        if region.shape != (count,) or region.dtype != np.dtype(dtype):
+            raise ScanFileError(f"/entry/data/{name} is {region.dtype} {region.shape}, not {dtype} [{count}]")
+
+
+class ScanReader:
+    """A scan, partial or sealed. Every call reads the file anew, so each commit is seen at once."""
+
+    def __init__(self, scan: Path) -> None:
+        """Open SCAN (a folder or its .h5).
+
+        Raises:
+            ScanFileError: as :func:`read_layout`.
+        """
+        self.layout = read_layout(scan)
+        self._fd = os.open(self.layout.path, os.O_RDONLY | os.O_CLOEXEC)
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> ScanReader:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def count(self) -> int:
+        """Number of frames of the plan."""
+        return self.layout.count
+
+    def field(self, name: str) -> NDArray[Any]:
+        """A per-frame dataset as it is now, shape [n]."""
+        region = self.layout.regions[name]
+        return np.frombuffer(self._read(region.offset, region.nbytes), dtype=region.dtype).reshape(region.shape)
+
+    def scalar(self, name: str) -> int | str:
+        """A scalar of ``layout.SCALARS`` as it is now; fixed bytes become text."""
+        region = self.layout.regions[name]
+        raw = self._read(region.offset, region.nbytes)
+        if region.dtype.kind == "S":
+            return raw.rstrip(b"\0").decode("utf-8", "replace")
+        return int(np.frombuffer(raw, dtype=region.dtype)[0])
+
+    @property
+    def outcome(self) -> str:
+        """One of ``states.Outcome``."""
+        return str(self.scalar("outcome"))
+
+    def status(self) -> NDArray[np.uint8]:
+        """Commit records, uint8 [n] (``layout.FrameStatus``)."""
+        return self.field("status")
+
+    def present(self) -> NDArray[np.bool_]:
+        """Which frames can be used: good or re-taken, bool [n]."""
+        status = self.status()
+        return np.isin(status, (FrameStatus.GOOD, FrameStatus.RETAKEN))
+
+    def committed_through(self) -> int:
+        """Last frame index such that it and all before it are committed (or damaged); -1 for none."""
+        missing = np.flatnonzero(self.status() == FrameStatus.MISSING)
+        return int(missing[0]) - 1 if missing.size else self.count - 1
+
+    def frame(self, frame_index: int) -> NDArray[Any]:
+        """Pixels of one frame as stored: [h, w] or [h, w, 3] RGB, read-only.
+
+        Raises:
+            IndexError: no such frame in the plan.
+        """
+        if not 0 <= frame_index < self.count:
+            raise IndexError(f"frame {frame_index} of {self.count}")
+        raw = self._read(self.layout.frame_offset(frame_index), self.layout.frame_nbytes)
+        return np.frombuffer(raw, dtype=self.layout.format.dtype).reshape(self.layout.format.shape)
+
+    def frames(self, first: int = 0, last: int | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Present frames from ``first`` through ``last`` (both included) in order, with their index."""
+        present = self.present()
+        for frame_index in range(first, self.count if last is None else last + 1):
+            if present[frame_index]:
+                yield frame_index, self.frame(frame_index)
+
+    def check_frame(self, role: str) -> NDArray[Any] | None:
+        """The dark, ambient or repeated frame; None where it was not taken."""
+        if "checks/status" not in self.layout.regions:
+            return None
+        index = CHECK_ROLES.index(role)
+        if self.field("checks/status")[index] != FrameStatus.GOOD:
+            return None
+        size = self.layout.frame_nbytes
+        raw = self._read(self.layout.regions["checks/data"].offset + index * size, size)
+        return np.frombuffer(raw, dtype=self.layout.format.dtype).reshape(self.layout.format.shape)
+
+    def crc_is_right(self, frame_index: int) -> bool:
+        """True if the stored pixels have the stored checksum."""
+        return frame_crc32(self.frame(frame_index)) == int(self.field("crc32")[frame_index])
+
+    def _read(self, offset: int, size: int) -> bytes:
+        raw = os.pread(self._fd, size, offset)
+        while len(raw) < size:
+            more = os.pread(self._fd, size - len(raw), offset + len(raw))
+            if not more:
+                raise ScanFileError(f"{self.layout.path} ends at byte {offset + len(raw)}: it was cut short")
+            raw += more
+        return raw

@@ -1,0 +1,71 @@
+"""The table of rig states and of the transitions between them; an illegal transition raises."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """What the rig is doing."""
+
+    DISCONNECTED = "disconnected"
+    IDLE = "idle"
+    HOMING = "homing"
+    MOVING = "moving"
+    PREVIEW = "preview"
+    ARMED = "armed"
+    SWEEPING = "sweeping"
+    HOLDING = "holding"
+    FINISHING = "finishing"
+    FAULT = "fault"
+
+
+class HoldReason(StrEnum):
+    """Why a sweep holds."""
+
+    PAUSED = "paused"
+    NO_CREDIT = "no credit"
+    LINK_LOST = "link lost"
+
+
+class Outcome(StrEnum):
+    """How a scan ended; ``running`` only while it does, ``interrupted`` when somebody died."""
+
+    RUNNING = "running"
+    COMPLETE = "complete"
+    STOPPED = "stopped"
+    ABORTED = "aborted"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+
+
+SEALED_OUTCOMES = frozenset({Outcome.COMPLETE, Outcome.STOPPED, Outcome.ABORTED, Outcome.FAILED})
+
+_S = State
+TRANSITIONS: dict[State, frozenset[State]] = {
+    _S.DISCONNECTED: frozenset({_S.IDLE, _S.FAULT}),
+    _S.IDLE: frozenset({_S.DISCONNECTED, _S.HOMING, _S.MOVING, _S.PREVIEW, _S.ARMED, _S.FAULT}),
+    _S.HOMING: frozenset({_S.DISCONNECTED, _S.IDLE, _S.FAULT}),
+    _S.MOVING: frozenset({_S.DISCONNECTED, _S.IDLE, _S.PREVIEW, _S.FAULT}),
+    _S.PREVIEW: frozenset({_S.DISCONNECTED, _S.IDLE, _S.MOVING, _S.ARMED, _S.FAULT}),
+    _S.ARMED: frozenset({_S.SWEEPING, _S.FINISHING, _S.FAULT}),
+    _S.SWEEPING: frozenset({_S.HOLDING, _S.FINISHING, _S.FAULT}),
+    _S.HOLDING: frozenset({_S.SWEEPING, _S.FINISHING, _S.FAULT}),
+    _S.FINISHING: frozenset({_S.IDLE, _S.DISCONNECTED, _S.FAULT}),
+    _S.FAULT: frozenset({_S.FINISHING, _S.IDLE, _S.DISCONNECTED}),
+}
+
+
+class IllegalTransitionError(RuntimeError):
+    """A transition that the table does not have: a bug, never an operator's mistake."""
+
+
+def transition(current: State, wanted: State) -> State:
+    """Return ``wanted`` if the table allows it from ``current``.
+
+    Raises:
+        IllegalTransitionError: the table has no such transition.
+    """
+    if wanted != current and wanted not in TRANSITIONS[current]:
+        raise IllegalTransitionError(f"{current} -> {wanted}")
+    return wanted
