@@ -1,0 +1,210 @@
+"""Owns the step from a crossing to a point: camera rays, light planes, and their intersection with its sigma.
+
+OpenCV's conventions: X_cam = R X_world + T (equation 1), pixel centres at integers, mm. All arithmetic is float64.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import inf
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from acquire.contract.calibration import CameraModel, PerFramePlanes, TranslatingPlane
+from acquire.contract.errors import CalibrationError
+from acquire.contract.units import UM_PER_MM
+
+F8 = NDArray[np.float64]
+LightPlane = TranslatingPlane | PerFramePlanes
+
+PARALLEL_SINE = 1e-9
+"""A ray whose angle to the plane has a smaller sine never meets it within numbers that mean anything."""
+_UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-14)
+"""OpenCV's default stops after 5 iterations, which leaves 1e-3 px at the corners of strong lenses."""
+
+
+class Rays(NamedTuple):
+    """One ray for each pixel: point = centre_mm + distance * directions, distance > 0 in front of the camera."""
+
+    centre_mm: F8
+    """[3], the camera's pinhole u = -R^T T in world coordinates."""
+    directions: F8
+    """[n, 3], v = R^T K^-1 p' (undistorted); not normalised: one unit is 1 mm along the optical axis."""
+
+
+class PlaneTable(NamedTuple):
+    """A light plane as coefficients (nx, ny, nz, d), n . X = d, over t: linear between the nodes, none outside."""
+
+    first: float
+    """t of node 0; -inf for a plane that only translates (defined for every t, by ``slope``)."""
+    last: float
+    """t of the last node; +inf likewise."""
+    nodes: F8
+    """[m, 4]; a translating plane has one, its plane at t = 0."""
+    slope: F8
+    """[4], change of the coefficients per unit of t; used by translating planes only."""
+
+
+class Hits(NamedTuple):
+    """Where the light passed: pixels with their crossings."""
+
+    pixels: NDArray[np.intp]
+    """[n], flat indices into the image, row-major."""
+    crossing: F8
+    """[n], fractional 0-based frame index."""
+    sigma: NDArray[np.float32]
+    """[n], its standard deviation in frames."""
+
+
+def rays(camera: CameraModel, pixels: F8 | None = None) -> Rays:
+    """Rays of ``pixels`` (float [n, 2], x then y), or of the whole image in row-major order (cached).
+
+    Source: equations (1) and (2); lens distortion is removed by OpenCV's iteration.
+    """
+    return _image_rays(camera) if pixels is None else _rays(camera, np.asarray(pixels, dtype=np.float64))
+
+
+@lru_cache(maxsize=2)
+def _image_rays(camera: CameraModel) -> Rays:
+    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
+    found = _rays(camera, np.stack([x.ravel(), y.ravel()], axis=1))
+    found.centre_mm.flags.writeable = False
+    found.directions.flags.writeable = False
+    return found
+
+
+def _rays(camera: CameraModel, pixels: F8) -> Rays:
+    rotation = np.array(camera.R)
+    normalised = np.ones((len(pixels), 3))
+    if len(pixels):
+        found = cv2.undistortPoints(
+            pixels.reshape(-1, 1, 2), np.array(camera.K), np.array(camera.distortion), criteria=_UNDISTORT
+        )
+        normalised[:, :2] = found.reshape(-1, 2)
+    return Rays(-rotation.T @ np.array(camera.T), np.ascontiguousarray(normalised @ rotation))
+
+
+def plane_table(plane: LightPlane) -> PlaneTable:
+    """The plane's coefficients over t, in the unit of its ``parameter``."""
+    if isinstance(plane, PerFramePlanes):
+        nodes = np.array(plane.planes, dtype=np.float64)
+        return PlaneTable(float(plane.first_frame), float(plane.last_frame), nodes, np.zeros(4))
+    normal = np.array(plane.normal, dtype=np.float64)
+    offset = normal @ np.array(plane.corner_origin_mm)
+    slope = normal @ np.array(plane.corner_velocity_mm)
+    return PlaneTable(-inf, inf, np.array([[*normal, offset]]), np.array([0.0, 0.0, 0.0, slope]))
+
+
+def planes_at(plane: LightPlane, t: F8) -> F8:
+    """Coefficients (nx, ny, nz, d) of the light plane at each t [n], shape [n, 4]; NaN where there is none.
+
+    Per-frame planes are interpolated linearly for first_frame <= t <= last_frame, both ends included.
+    """
+    table = plane_table(plane)
+    t = np.asarray(t, dtype=np.float64)
+    if isinstance(plane, TranslatingPlane):
+        moved: F8 = table.nodes[0] + t[:, None] * table.slope
+        return moved
+    inside = (t >= table.first) & (t <= table.last)
+    at = np.where(inside, t - table.first, 0.0)
+    low = np.minimum(np.floor(at).astype(np.intp), max(len(table.nodes) - 2, 0))
+    high = np.minimum(low + 1, len(table.nodes) - 1)
+    fraction = (at - low)[:, None]
+    found: F8 = table.nodes[low] + fraction * (table.nodes[high] - table.nodes[low])
+    found[~inside] = np.nan
+    return found
+
+
+def coordinates(plane: LightPlane, frames: int, present: NDArray[Any], position_um: F8) -> F8:
+    """The sweep coordinate of every frame index 0..frames-1, float64 [frames], in the plane's unit.
+
+    ``frame``: t = frame_index + 1. ``position_um``: the recorded stage positions of the present frames (bool
+    [frames]); a missing frame's is interpolated between its neighbours, so that a crossing in the gap gets its own.
+
+    Raises:
+        CalibrationError: the plane counts in um and the scan does not know its positions.
+    """
+    if plane.parameter == "frame":
+        return np.arange(1, frames + 1, dtype=np.float64)
+    known = np.flatnonzero(present)
+    positions = np.asarray(position_um, dtype=np.float64)[known]
+    if not np.isfinite(positions).all():
+        raise CalibrationError(
+            "the light plane is calibrated by stage position, but this scan does not know its positions: "
+            "use a calibration by frame number"
+        )
+    if not known.size:
+        return np.full(frames, np.nan)
+    return np.interp(np.arange(frames, dtype=np.float64), known.astype(np.float64), positions)
+
+
+def intersect(found_rays: Rays, table: PlaneTable, frame_t: F8, hits: Hits) -> tuple[F8, F8]:
+    """Points of ``hits`` and their standard deviations along the ray.
+
+    Args:
+        found_rays: of the whole image.
+        table: the light plane.
+        frame_t: sweep coordinate of each frame index, [frames] (see :func:`coordinates`).
+        hits: pixels, crossings and sigmas, [n] each.
+
+    Returns:
+        points in mm, float64 [n, 3], NaN where there is none (no plane at that t, behind the camera, ray parallel to
+        the plane), and sigma in um, float64 [n]: |dX/dt| |dt/dframe| sigma.
+    """
+    points = np.full((len(hits.pixels), 3), np.nan)
+    sigma_um = np.full(len(hits.pixels), np.nan)
+    _intersect(found_rays, table, frame_t, hits, (points, sigma_um))
+    return points, sigma_um
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _coordinate(frame_t, crossing):  # type: ignore[no-untyped-def]
+    """Sweep coordinate t of a fractional frame index, and its change per frame."""
+    frame = min(int(crossing), max(len(frame_t) - 2, 0))
+    unit = frame_t[frame + 1] - frame_t[frame] if len(frame_t) > 1 else 0.0
+    return frame_t[frame] + (crossing - frame) * unit, unit
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _plane(table, t, plane, change):  # type: ignore[no-untyped-def]
+    """Coefficients at t into ``plane``, their derivative into ``change``."""
+    low, at, high = 0, t, 0
+    if not np.isinf(table.first):
+        low = min(int(t - table.first), max(len(table.nodes) - 2, 0))
+        high = min(low + 1, len(table.nodes) - 1)
+        at = t - table.first - low
+    for part in range(4):
+        change[part] = table.slope[part] + table.nodes[high, part] - table.nodes[low, part]
+        plane[part] = table.nodes[low, part] + at * change[part]
+
+
+@njit(cache=True, nogil=True)
+def _intersect(found_rays, table, frame_t, hits, found):  # type: ignore[no-untyped-def]
+    centre = found_rays.centre_mm
+    plane, change = np.empty(4), np.empty(4)
+    points, sigma_um = found
+    for index in range(len(hits.pixels)):
+        crossing = hits.crossing[index]
+        if not 0.0 <= crossing <= len(frame_t) - 1:
+            continue
+        t, unit = _coordinate(frame_t, crossing)
+        if not table.first <= t <= table.last:
+            continue
+        _plane(table, t, plane, change)
+        vx, vy, vz = found_rays.directions[hits.pixels[index]]
+        along = plane[0] * vx + plane[1] * vy + plane[2] * vz
+        length = np.sqrt(vx * vx + vy * vy + vz * vz)
+        normal = np.sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2])
+        if not abs(along) > PARALLEL_SINE * length * normal:
+            continue
+        distance = (plane[3] - plane[0] * centre[0] - plane[1] * centre[1] - plane[2] * centre[2]) / along
+        if not distance > 0.0:
+            continue
+        x, y, z = centre[0] + distance * vx, centre[1] + distance * vy, centre[2] + distance * vz
+        points[index, 0], points[index, 1], points[index, 2] = x, y, z
+        speed = abs((change[3] - change[0] * x - change[1] * y - change[2] * z) / along) * length
+        sigma_um[index] = hits.sigma[index] * speed * abs(unit) * UM_PER_MM
