@@ -1,0 +1,144 @@
+"""Which pixels become points, and cloud.ply as other programs read it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from plyfile import PlyData
+
+from acquire.contract.calibration import CameraModel, TranslatingPlane
+from process.cloud import VERTEX, Cloud, make_cloud, write_ply
+from process.geometry import plane_table, rays
+from process.replacing import ResultWriteError, replacing
+
+CAMERA = CameraModel(
+    width=4,
+    height=3,
+    K=((1.0, 0.0, 1.5), (0.0, 1.0, 1.0), (0.0, 0.0, 1.0)),
+    R=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+    T=(0.0, 0.0, 0.0),
+)
+PLANE = TranslatingPlane("frame", (0.0, 0.0, 1.0), (0.0, 0.0, 10.0), (0.0, 0.0, 1.0))
+FRAME_T = np.arange(1, 11, dtype=np.float64)
+
+
+def maps(crossing=3.0, quality=0) -> SimpleNamespace:
+    colour = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
+    return SimpleNamespace(
+        crossing=np.full((3, 4), crossing),
+        sigma=np.full((3, 4), 0.25, np.float32),
+        quality=np.full((3, 4), quality, np.uint16),
+        colour=colour,
+    )
+
+
+def cloud_of(found, **options) -> Cloud:
+    return make_cloud(found, rays(CAMERA), plane_table(PLANE), FRAME_T, **options)
+
+
+def random_cloud(count: int) -> Cloud:
+    rng = np.random.default_rng(5)
+    return Cloud(
+        points_mm=rng.normal(size=(count, 3)),
+        rgb=rng.integers(0, 256, (count, 3)).astype(np.uint8),
+        sigma_um=rng.random(count).astype(np.float32),
+        crossing=rng.uniform(0, 500, count),
+        quality=rng.integers(0, 64, count).astype(np.uint16),
+        pixels=np.arange(count),
+    )
+
+
+def test_points_stand_in_row_major_order_with_the_colour_of_their_pixel():
+    found = maps()
+    found.crossing[1, 2] = np.nan
+    cloud = cloud_of(found)
+    assert cloud.pixels.tolist() == [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11]
+    assert cloud.rgb[6].tolist() == found.colour[1, 3].tolist()
+    assert np.allclose(cloud.points_mm[:, 2], 14.0), "t = 3 + 1"
+    assert np.allclose(cloud.points_mm[0], [14.0 * -1.5, 14.0 * -1.0, 14.0])
+
+
+@pytest.mark.parametrize("bit", [1, 2, 128])
+def test_pixels_without_a_trustworthy_edge_are_left_out_unless_asked_for(bit):
+    found = maps(quality=4 | 8 | 16 | 32 | 64)
+    found.quality[0, 0] |= bit
+    assert 0 not in cloud_of(found).pixels
+    assert len(cloud_of(found)) == 11
+    assert len(cloud_of(found, left_out=0)) == 12
+
+
+def test_sigma_in_um_is_the_frames_times_the_way_per_frame():
+    cloud = cloud_of(maps())
+    middle_mm_per_frame = np.linalg.norm(cloud.points_mm[0]) / 14.0
+    assert cloud.sigma_um[0] == pytest.approx(0.25 * middle_mm_per_frame * 1000, rel=1e-6)
+
+
+def test_no_crossings_give_an_empty_cloud_that_can_still_be_written(tmp_path):
+    cloud = cloud_of(maps(crossing=np.nan))
+    write_ply(tmp_path / "cloud.ply", cloud)
+    assert len(PlyData.read(str(tmp_path / "cloud.ply"))["vertex"]) == 0
+
+
+def test_the_same_cloud_gives_the_same_bytes(tmp_path):
+    for name in ("a.ply", "b.ply"):
+        write_ply(tmp_path / name, random_cloud(100))
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+
+
+def test_the_file_holds_every_field_in_the_documented_order(tmp_path):
+    cloud = random_cloud(50)
+    write_ply(tmp_path / "cloud.ply", cloud)
+    ply = PlyData.read(str(tmp_path / "cloud.ply"))
+    assert ply.byte_order == "<" and not ply.text
+    assert tuple(prop.name for prop in ply["vertex"].properties) == VERTEX.names
+    assert np.array_equal(ply["vertex"].data, cloud.vertices())
+    assert np.array_equal(ply["vertex"]["x"], cloud.xyz[:, 0])
+
+
+def test_trimesh_opens_the_file_with_the_same_points_and_colours(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    cloud = random_cloud(321)
+    write_ply(tmp_path / "cloud.ply", cloud)
+    found = trimesh.load(tmp_path / "cloud.ply")
+    assert np.allclose(found.vertices, cloud.xyz)
+    assert np.array_equal(found.colors[:, :3], cloud.rgb)
+
+
+def test_open3d_opens_the_file_with_points_colours_sigma_and_crossing(tmp_path):
+    o3d = pytest.importorskip("open3d")
+    cloud = random_cloud(321)
+    write_ply(tmp_path / "cloud.ply", cloud)
+    found = o3d.t.io.read_point_cloud(str(tmp_path / "cloud.ply"))
+    assert np.array_equal(found.point.positions.numpy(), cloud.xyz)
+    assert np.array_equal(found.point.colors.numpy(), cloud.rgb)
+    # it skips quality: its reader has no 16-bit type
+    assert np.array_equal(found.point["sigma_um"].numpy().ravel(), cloud.sigma_um)
+    assert np.array_equal(found.point["crossing"].numpy().ravel(), cloud.crossing.astype(np.float32))
+
+
+def test_pymeshlab_opens_the_file_with_the_same_points_and_colours(tmp_path):
+    pymeshlab = pytest.importorskip("pymeshlab")
+    cloud = random_cloud(321)
+    write_ply(tmp_path / "cloud.ply", cloud)
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "cloud.ply"))
+    found = meshes.current_mesh()
+    assert np.allclose(found.vertex_matrix(), cloud.xyz)
+    assert np.array_equal(np.rint(found.vertex_color_matrix()[:, :3] * 255), cloud.rgb)
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path):
+    target = tmp_path / "cloud.ply"
+    target.write_text("old")
+    with pytest.raises(ResultWriteError, match=r"cannot write .*No space left"), replacing(target) as temporary:
+        temporary.write_text("half")
+        raise OSError(28, "No space left on device")
+    assert [path.name for path in tmp_path.iterdir()] == ["cloud.ply"]
+    assert target.read_text() == "old"
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(ResultWriteError, match="gone"):
+        write_ply(tmp_path / "gone" / "cloud.ply", random_cloud(1))
