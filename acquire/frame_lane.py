@@ -13,45 +13,13 @@ from acquire.contract.lanes import Received, Sender, receive
 from acquire.contract.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
 from acquire.contract.units import NS_PER_S
 
+from .events import Committed, LaneEvent, Refused, Sealed, WriterReady
 from .window import Kept, Window, indices_of
 
 logger = logging.getLogger(__name__)
 RETRY_NS = 1 * NS_PER_S
 MAX_BURST = 256
 """Messages handled in one call, so that the caller's loop stays responsive."""
-
-
-@dataclass(frozen=True)
-class WriterReady:
-    """A writer has the scan's file open (again)."""
-
-    reserved: bool
-    came_back: bool
-
-
-@dataclass(frozen=True)
-class Committed:
-    """Frames became committed; ``durable_count`` frames survive a power cut."""
-
-    frame_indices: tuple[int, ...]
-    durable_count: int
-
-
-@dataclass(frozen=True)
-class Refused:
-    """The writer refused something and says why."""
-
-    nack: Nack
-
-
-@dataclass(frozen=True)
-class Sealed:
-    """The scan's file is closed for good (or could not be)."""
-
-    end_ack: EndAck
-
-
-LaneEvent = WriterReady | Committed | Refused | Sealed
 
 
 @dataclass
@@ -146,6 +114,9 @@ class FrameLane:
             return None
         if self._start is None or message.scan_uid != self._start.scan_uid:
             return None
+        return self._event_of(message, now_ns)
+
+    def _event_of(self, message: StartAck | Ack | EndAck | Nack, now_ns: int) -> LaneEvent:
         if isinstance(message, StartAck):
             return self._take_start_ack(message)
         if isinstance(message, Ack):
@@ -165,7 +136,10 @@ class FrameLane:
             if self._writer is not None:
                 self._superseded.add(self._writer.epoch)
             self._writer = _Writer(routing_id, message.epoch)
-        self._writer.routing_id = routing_id
+        elif self._writer.routing_id != routing_id:
+            # it reconnected: what was on the way is lost, so the scan is announced and replayed again
+            self._writer = _Writer(routing_id, message.epoch)
+            self._greet()
         return True
 
     def _greet(self) -> None:

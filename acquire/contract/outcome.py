@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
 from isal import isal_zlib
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from .states import Outcome
 
 
-def frame_crc32(pixels: NDArray[np.generic] | bytes | memoryview) -> int:
+def frame_crc32(pixels: NDArray[Any] | bytes | memoryview) -> int:
     """crc32 (zlib's polynomial) of the stored bytes of one frame; the array must be C-contiguous."""
-    return int(isal_zlib.crc32(pixels if isinstance(pixels, bytes) else memoryview(pixels).cast("B")))
+    return int(isal_zlib.crc32(pixels))
 
 
 def scan_digest(crc32: NDArray[np.uint32]) -> str:

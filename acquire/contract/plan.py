@@ -53,4 +53,5 @@ class SweepPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def positions_um(self) -> NDArray[np.float64]:
         """Positions of all frames in um, shape [n], float64."""
-        return (self.first_steps + np.arange(self.count) * self.pitch_steps) * self.um_per_microstep
+        steps = self.first_steps + np.arange(self.count, dtype=np.float64) * self.pitch_steps
+        return steps * np.float64(self.um_per_microstep)

@@ -1,0 +1,121 @@
+"""What a sweep wants done, as values: the daemon carries them out in order, and only the daemon touches devices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from acquire.contract.messages import End, FaultReport, Image
+from acquire.stages.protocol import Segment
+
+
+@dataclass(frozen=True)
+class SetLamp:
+    """Switch the lamp."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Arm the camera for hardware triggers; stale frames are dropped."""
+
+
+@dataclass(frozen=True)
+class Disarm:
+    """Let the camera ignore triggers."""
+
+
+@dataclass(frozen=True)
+class Snap:
+    """Take one frame by software."""
+
+
+@dataclass(frozen=True)
+class MoveTo:
+    """Start a move."""
+
+    position_steps: int
+
+
+@dataclass(frozen=True)
+class BeginSegment:
+    """Start a segment of shots with its first credit."""
+
+    segment: Segment
+    may_trigger_through: int
+
+
+@dataclass(frozen=True)
+class Grant:
+    """Raise the absolute credit of the running segment."""
+
+    may_trigger_through: int
+
+
+@dataclass(frozen=True)
+class HoldStage:
+    """Pause the segment."""
+
+
+@dataclass(frozen=True)
+class ResumeStage:
+    """Go on with the segment."""
+
+
+@dataclass(frozen=True)
+class StopStage:
+    """End the segment or move."""
+
+
+@dataclass(frozen=True)
+class CheckLimit:
+    """Touch the limit switch again."""
+
+
+@dataclass(frozen=True)
+class Publish:
+    """A frame goes onto the lossless and the live lane."""
+
+    image: Image
+    pixels: Any
+
+
+@dataclass(frozen=True)
+class Finish:
+    """Tell writer and worker that no more frames follow."""
+
+    end: End
+
+
+@dataclass(frozen=True)
+class RaiseFault:
+    """Show a fault to the operator."""
+
+    fault: FaultReport
+
+
+@dataclass(frozen=True)
+class Say:
+    """Show a line to the operator."""
+
+    text: str
+
+
+Action = (
+    SetLamp
+    | Arm
+    | Disarm
+    | Snap
+    | MoveTo
+    | BeginSegment
+    | Grant
+    | HoldStage
+    | ResumeStage
+    | StopStage
+    | CheckLimit
+    | Publish
+    | Finish
+    | RaiseFault
+    | Say
+)

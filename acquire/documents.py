@@ -1,0 +1,94 @@
+"""Builds the messages that describe a sweep: one `image` for each frame, the `end` with all its accounts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from acquire.cameras.protocol import CameraFrame
+from acquire.contract.messages import End, FrameFormat, Image, Role
+from acquire.contract.outcome import frame_crc32, scan_digest
+from acquire.contract.states import Outcome
+
+from .lockstep import Shot
+from .window import Window, ranges_of
+
+
+def image_of_shot(frame: CameraFrame, shot: Shot, frame_format: FrameFormat, role: Role = "sweep") -> Image:
+    """The header of a frame that is paired with its trigger."""
+    return Image(
+        frame_index=shot.frame_index,
+        role=role,
+        attempt=shot.attempt,
+        trigger_id=shot.trigger_id,
+        camera_frame_id=frame.camera_frame_id,
+        position_steps=shot.position_steps,
+        position_um=shot.position_um,
+        trigger_cycles=shot.trigger_cycles,
+        exposure_start_ns=frame.exposure_start_ns,
+        **_pixels(frame, frame_format),
+    )
+
+
+def image_of_snap(frame: CameraFrame, role: Role, position_steps: int, frame_format: FrameFormat) -> Image:
+    """The header of a dark or ambient frame."""
+    return Image(
+        frame_index=0,
+        role=role,
+        camera_frame_id=frame.camera_frame_id,
+        position_steps=position_steps,
+        exposure_start_ns=frame.exposure_start_ns,
+        **_pixels(frame, frame_format),
+    )
+
+
+def _pixels(frame: CameraFrame, frame_format: FrameFormat) -> dict[str, Any]:
+    return {
+        "shape": list(frame_format.shape),
+        "dtype": frame_format.dtype,
+        "bit_depth": frame_format.bit_depth,
+        "pixel_format": frame_format.pixel_format,
+        "crc32": frame_crc32(frame.pixels),
+    }
+
+
+def what_is_wrong(frame: CameraFrame, frame_format: FrameFormat) -> str:
+    """Why a frame cannot be of this scan, in words; empty when it can (F19)."""
+    pixels = frame.pixels
+    if pixels.shape != frame_format.shape:
+        return f"shape {pixels.shape} instead of {frame_format.shape}"
+    if pixels.dtype != np.dtype(frame_format.dtype):
+        return f"type {pixels.dtype} instead of {np.dtype(frame_format.dtype)}"
+    if not pixels.flags.c_contiguous:
+        return "rows that are not contiguous"
+    return ""
+
+
+def end_of_sweep(
+    outcome: Outcome,
+    reason: str,
+    *,
+    count: int,
+    sent: int,
+    window: Window,
+    retaken: Iterable[int],
+    counters: Mapping[str, int],
+    checks: Mapping[str, float],
+) -> End:
+    """The account of a sweep; frames that are not committed are missing."""
+    crc32 = np.zeros(count, np.uint32)
+    for frame_index, value in window.committed.items():
+        crc32[frame_index] = value
+    return End(
+        outcome=outcome,
+        reason=reason,
+        expected=count,
+        sent=sent,
+        missing=ranges_of([k for k in range(count) if k not in window.committed]),
+        retaken=ranges_of(list(retaken)),
+        digest=scan_digest(crc32),
+        counters=dict(counters),
+        checks=dict(checks),
+    )

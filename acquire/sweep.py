@@ -1,0 +1,447 @@
+"""The sweep as a pure state machine: events in, actions out.
+
+It promises that every frame index is either committed or named as missing, that the stage ends stopped, and that
+nothing ends as complete that is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import Any
+
+from numpy.typing import NDArray
+
+from acquire.cameras.protocol import CameraFrame, CameraGone
+from acquire.contract.faults import report
+from acquire.contract.messages import FaultReport
+from acquire.contract.states import HoldReason, Outcome, State
+from acquire.contract.units import NS_PER_S
+from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Triggered
+
+from .actions import (
+    Action,
+    CheckLimit,
+    Disarm,
+    Finish,
+    HoldStage,
+    MoveTo,
+    Publish,
+    RaiseFault,
+    ResumeStage,
+    Say,
+    SetLamp,
+    Snap,
+    StopStage,
+)
+from .documents import end_of_sweep, image_of_shot, image_of_snap, what_is_wrong
+from .drift import measure_drift
+from .events import (
+    Committed,
+    PauseRequested,
+    Refused,
+    ResumeRequested,
+    Sealed,
+    StopRequested,
+    SweepEvent,
+    Tick,
+    WriterReady,
+)
+from .lockstep import Shot
+from .shooting import Shooting
+
+
+class Phase(Enum):
+    """Where in its course a sweep is."""
+
+    WAIT_WRITER = auto()
+    AMBIENT = auto()
+    WARM_UP = auto()
+    APPROACH = auto()
+    RUN = auto()
+    STOPPING = auto()
+    """The segment was told to stop; what follows is decided when the stage rests."""
+    REPEAT = auto()
+    LIMIT = auto()
+    DRAIN = auto()
+    """Frames that were taken are being committed."""
+    SEAL = auto()
+    DONE = auto()
+
+
+COUNTERS: tuple[str, ...] = ("triggered", "received", "extra", "damaged", "lost")
+_SHOOTING = (Phase.RUN, Phase.STOPPING, Phase.REPEAT)
+_BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP, Phase.APPROACH)
+
+
+@dataclass
+class Sweep:
+    """One sweep from its start to its sealed end."""
+
+    shooting: Shooting
+    phase: Phase = Phase.WAIT_WRITER
+    outcome: Outcome = Outcome.RUNNING
+    reason: str = ""
+    counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
+    checks: dict[str, float] = field(default_factory=dict)
+    paused: bool = False
+    durable: int = 0
+    result: Sealed | None = None
+    position_steps: int = 0
+    """Where the stage was last heard of, in microsteps."""
+    _resting: bool = True
+    _skip_checks: bool = False
+    _deadline_ns: int | None = None
+    _first_pixels: NDArray[Any] | None = None
+
+    def __post_init__(self) -> None:
+        self.settings = self.shooting.settings
+        self.window = self.shooting.window
+        self.count = self.settings.plan.count
+
+    # ---- the door ----
+
+    def start(self, now_ns: int) -> None:
+        """The writer was told to make the file; nothing moves until it has."""
+        self._deadline_ns = now_ns + self.settings.writer_start_ns
+
+    def handle(self, event: SweepEvent, now_ns: int) -> list[Action]:
+        """Take one event and say what is to be done about it, in order."""
+        if self.phase is Phase.DONE:
+            return []
+        handler = _HANDLERS[type(event)]
+        return handler(self, event, now_ns) + self._look_around(now_ns)
+
+    @property
+    def state(self) -> State:
+        """The rig's state that belongs to the phase."""
+        if self.phase in _BEFORE:
+            return State.ARMED
+        if self.phase in _SHOOTING:
+            return State.HOLDING if self.paused or self.shooting.short_of_credit else State.SWEEPING
+        return State.FINISHING
+
+    @property
+    def hold_reason(self) -> HoldReason | None:
+        """Why it holds; None when it does not."""
+        if self.state is not State.HOLDING:
+            return None
+        return HoldReason.PAUSED if self.paused else HoldReason.NO_CREDIT
+
+    @property
+    def can_pause(self) -> bool:
+        """True while frames are being taken."""
+        return self.phase in (Phase.RUN, Phase.STOPPING) and self.outcome is Outcome.RUNNING
+
+    # ---- before the first frame ----
+
+    def _on_writer_ready(self, event: WriterReady, now_ns: int) -> list[Action]:
+        if self.phase is not Phase.WAIT_WRITER:
+            return [Say("the writer is back: frames that were on the way are sent again")] if event.came_back else []
+        said: list[Action] = [] if event.reserved else [Say("this file system cannot reserve space: watch the disk")]
+        if not self.settings.dark_frames:
+            return said + self._warm_up(now_ns)
+        self.phase = Phase.AMBIENT
+        self._deadline_ns = now_ns + self.settings.exposure_ns + self.settings.frame_timeout_ns
+        return [*said, SetLamp(on=False), Snap()]
+
+    def _take_ambient(self, event: CameraFrame, now_ns: int) -> list[Action]:
+        if what_is_wrong(event, self.settings.format):
+            self.counters["damaged"] += 1
+            return self._warm_up(now_ns)
+        image = image_of_snap(event, "ambient", self.position_steps, self.settings.format)
+        return [Publish(image, event.pixels), *self._warm_up(now_ns)]
+
+    def _warm_up(self, now_ns: int) -> list[Action]:
+        self.phase = Phase.WARM_UP
+        self._deadline_ns = now_ns + round(self.settings.warm_up_ns * self.settings.time_scale)
+        return [SetLamp(on=True)]
+
+    def _approach(self, now_ns: int) -> list[Action]:
+        """Go to the outer side of frame 0, so that the segment's run-up takes up the backlash."""
+        plan = self.settings.plan
+        self.phase = Phase.APPROACH
+        self._moving_until(now_ns)
+        return [MoveTo(plan.first_steps - plan.direction * self.settings.run_up_steps)]
+
+    # ---- shots ----
+
+    def _next_segment(self, now_ns: int) -> list[Action]:
+        run = self.shooting.next_run()
+        if run is None:
+            return self._repeat_first(now_ns)
+        self.phase = Phase.RUN
+        self._moving_until(now_ns)
+        return self.shooting.begin(*run, now_ns)
+
+    def _on_triggered(self, event: Triggered, now_ns: int) -> list[Action]:
+        self.position_steps = event.position_steps
+        self.counters["triggered"] += 1
+        wrong = self.shooting.triggered(event, now_ns)
+        if wrong:
+            return self._give_up(Outcome.FAILED, wrong, "F15", now_ns)
+        self._expect_stage(now_ns)
+        return []
+
+    def _on_frame(self, event: CameraFrame, now_ns: int) -> list[Action]:
+        self.counters["received"] += 1
+        if self.phase is Phase.AMBIENT:
+            return self._take_ambient(event, now_ns)
+        pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns)
+        actions = self._lose(pairing.lost, "its frame did not come", "F16", now_ns)
+        if pairing.shot is None:
+            self.counters["extra"] += 1
+            return actions
+        wrong = what_is_wrong(event, self.settings.format)
+        if wrong:
+            self.counters["damaged"] += 1
+            return actions + self._lose((pairing.shot,), wrong, "F19", now_ns)
+        return actions + self._take(event, pairing.shot, now_ns)
+
+    def _take(self, event: CameraFrame, shot: Shot, now_ns: int) -> list[Action]:
+        if self.phase is Phase.REPEAT:
+            assert self._first_pixels is not None
+            self.checks |= measure_drift(self._first_pixels, event.pixels)
+            return [Publish(image_of_shot(event, shot, self.settings.format, "repeat"), event.pixels)]
+        self.shooting.paired.add(shot.frame_index)
+        if shot.frame_index == 0:
+            self._first_pixels = event.pixels
+        publish = Publish(image_of_shot(event, shot, self.settings.format), event.pixels)
+        return [publish, *self._grant(now_ns)]
+
+    def _grant(self, now_ns: int) -> list[Action]:
+        if self.phase is not Phase.RUN or self.paused:
+            return []
+        actions = self.shooting.grant()
+        self._expect_stage(now_ns)
+        return actions
+
+    def _lose(self, shots: tuple[Shot, ...], detail: str, code: str, now_ns: int) -> list[Action]:
+        """Take lost frames again; too many attempts are a fault."""
+        if self.phase is Phase.REPEAT or not shots:
+            return []
+        attempts = self.shooting.attempts
+        for shot in shots:
+            self.counters["lost"] += 1
+            lost = attempts[shot.frame_index] = attempts.get(shot.frame_index, 0) + 1
+            if lost >= self.settings.max_attempts:
+                fault = self._report(code, frame=shot.frame_index, attempts=lost, detail=detail)
+                return [RaiseFault(fault), *self._end_early(Outcome.FAILED, f"{code} {fault.happened}", now_ns)]
+        if self.phase is not Phase.RUN:
+            return []
+        return [Say(f"frame {shots[0].frame_index} is taken again: {detail}"), *self._stop_segment(now_ns)]
+
+    def _on_camera_gone(self, event: CameraGone, now_ns: int) -> list[Action]:
+        if event.back:
+            return []
+        lost = self.shooting.ledger.drop_all()
+        return [RaiseFault(self._report("F18")), *self._lose(lost, event.detail, "F18", now_ns)]
+
+    # ---- the stage rests ----
+
+    def _on_rest(self, event: SegmentDone | Moved | Stopped, now_ns: int) -> list[Action]:
+        self.position_steps, self._resting, self._deadline_ns = event.position_steps, True, None
+        self.shooting.segment_done = True
+        if self.phase is Phase.APPROACH:
+            return self._next_segment(now_ns)
+        if self.phase is Phase.LIMIT:
+            if isinstance(event, Moved) and event.steps_lost is not None:
+                self.checks["steps_lost"] = float(event.steps_lost)
+            return self._drain(now_ns)
+        return []
+
+    def _stop_segment(self, now_ns: int) -> list[Action]:
+        """Frames that are on their way are still taken; what follows is decided when the stage rests."""
+        self.phase = Phase.STOPPING
+        if self._resting:
+            return []
+        self._moving_until(now_ns)
+        return [StopStage()]
+
+    def _after_stop(self, now_ns: int) -> list[Action]:
+        if self.outcome is not Outcome.RUNNING:
+            return [Disarm(), *self._drain(now_ns)]
+        return [] if self.paused else self._next_segment(now_ns)
+
+    # ---- checks after the last frame ----
+
+    def _repeat_first(self, now_ns: int) -> list[Action]:
+        if self._skip_checks or not self.settings.repeat_first or self._first_pixels is None:
+            return self._check_limit(now_ns)
+        self.phase = Phase.REPEAT
+        self._moving_until(now_ns)
+        return self.shooting.begin(0, 0, now_ns, gated=False)
+
+    def _check_limit(self, now_ns: int) -> list[Action]:
+        if self._skip_checks or not self.settings.check_limit:
+            return [Disarm(), *self._drain(now_ns)]
+        self.phase = Phase.LIMIT
+        self._moving_until(now_ns)
+        return [Disarm(), CheckLimit()]
+
+    # ---- the end ----
+
+    def _end_early(self, outcome: Outcome, reason: str, now_ns: int) -> list[Action]:
+        if self.outcome is not Outcome.RUNNING or self.phase in (Phase.DRAIN, Phase.SEAL):
+            return []
+        self.paused = self.shooting.short_of_credit = False
+        if self.phase in (Phase.REPEAT, Phase.LIMIT) and outcome is Outcome.STOPPED:
+            self._skip_checks = True  # all frames are there: only the checks end early
+        else:
+            self.outcome, self.reason = outcome, reason
+        return self._stop_segment(now_ns)
+
+    def _give_up(self, outcome: Outcome, detail: str, code: str, now_ns: int) -> list[Action]:
+        fault = self._report(code, detail=detail)
+        return [RaiseFault(fault), *self._end_early(outcome, f"{code} {detail}", now_ns)]
+
+    def _drain(self, now_ns: int) -> list[Action]:
+        """Every frame that was taken must be committed before the end is said."""
+        self.phase = Phase.DRAIN
+        self._deadline_ns = now_ns + self.settings.seal_ns
+        return []
+
+    def _finish(self, now_ns: int) -> list[Action]:
+        self.phase = Phase.SEAL
+        self._deadline_ns = now_ns + self.settings.seal_ns
+        if self.outcome is Outcome.RUNNING:
+            self.outcome = Outcome.COMPLETE if self.window.prefix == self.count else Outcome.FAILED
+        end = end_of_sweep(
+            self.outcome,
+            self.reason,
+            count=self.count,
+            sent=len(self.shooting.paired),
+            window=self.window,
+            retaken=[k for k in self.shooting.attempts if k in self.window.committed],
+            counters=self.accounts(),
+            checks=self.checks,
+        )
+        return [Finish(end)]
+
+    def accounts(self) -> dict[str, int]:
+        """Every counter of the sweep, by name."""
+        return self.counters | {"conflicts": self.window.conflicts, "holds_no_credit": self.shooting.holds}
+
+    def _on_sealed(self, event: Sealed, now_ns: int) -> list[Action]:
+        if self.phase is not Phase.SEAL:
+            return []
+        self.phase, self.result = Phase.DONE, event
+        if event.end_ack.sealed:
+            return []
+        self.outcome, self.reason = Outcome.INTERRUPTED, event.end_ack.reason
+        return [RaiseFault(self._report("F07", detail=event.end_ack.reason))]
+
+    def _abandon(self, outcome: Outcome, reason: str, fault: FaultReport) -> list[Action]:
+        """There is nobody to say an end to."""
+        self.outcome, self.reason, self.phase = outcome, reason, Phase.DONE
+        return [StopStage(), Disarm(), RaiseFault(fault)]
+
+    # ---- operator and writer ----
+
+    def _on_pause(self, event: PauseRequested, now_ns: int) -> list[Action]:
+        if not self.can_pause or self.paused:
+            return []
+        self.paused = True
+        return [HoldStage()] if self.phase is Phase.RUN else []
+
+    def _on_resume(self, event: ResumeRequested, now_ns: int) -> list[Action]:
+        if not self.paused:
+            return []
+        self.paused = False
+        if self.phase is Phase.RUN:
+            return [ResumeStage(), *self._grant(now_ns)]
+        return []
+
+    def _on_stop(self, event: StopRequested, now_ns: int) -> list[Action]:
+        return self._end_early(event.outcome, event.reason, now_ns)
+
+    def _on_alarm(self, event: Alarm, now_ns: int) -> list[Action]:
+        # the controller stands already: nothing more will be heard of the activity
+        self.position_steps, self._resting, self.shooting.segment_done = event.position_steps, True, True
+        return self._give_up(Outcome.ABORTED, event.detail, event.code, now_ns)
+
+    def _on_committed(self, event: Committed, now_ns: int) -> list[Action]:
+        self.durable = event.durable_count
+        return self._grant(now_ns)
+
+    def _on_refused(self, event: Refused, now_ns: int) -> list[Action]:
+        nack = event.nack
+        detail = f"{nack.reason}{': ' if nack.detail else ''}{nack.detail}"
+        fault = self._report("F06" if nack.reason == "no space" else "F07", detail=detail)
+        if self.phase is Phase.WAIT_WRITER:
+            return self._abandon(Outcome.FAILED, detail, fault)
+        return [RaiseFault(fault)]
+
+    def _on_held(self, event: Held, now_ns: int) -> list[Action]:
+        self.position_steps = event.position_steps
+        return []
+
+    # ---- time ----
+
+    def _on_tick(self, event: Tick, now_ns: int) -> list[Action]:
+        late = self.shooting.ledger.overdue(now_ns)
+        if late:
+            return self._lose(late, "its frame did not come in time", "F16", now_ns)
+        if self._deadline_ns is None or now_ns < self._deadline_ns:
+            return []
+        self._deadline_ns = None
+        return self._time_is_up(now_ns)
+
+    def _time_is_up(self, now_ns: int) -> list[Action]:
+        if self.phase is Phase.WARM_UP:
+            return self._approach(now_ns)
+        if self.phase is Phase.AMBIENT:
+            return [Say("no ambient frame came: the camera does not answer"), *self._warm_up(now_ns)]
+        if self.phase is Phase.WAIT_WRITER:
+            seconds = f"{self.settings.writer_start_ns / NS_PER_S:g}"
+            return self._abandon(Outcome.FAILED, "no writer made the file ready", self._report("F05", seconds=seconds))
+        if self.phase in (Phase.DRAIN, Phase.SEAL):
+            return self._abandon(Outcome.INTERRUPTED, "the writer did not seal in time", self._report("F03"))
+        self._resting = True  # it cannot be asked to stop once more: the daemon closes it
+        return self._give_up(Outcome.ABORTED, "the stage does not answer", "F12", now_ns)
+
+    def _moving_until(self, now_ns: int) -> None:
+        self._resting = False
+        self._deadline_ns = now_ns + self.settings.motion_ns
+
+    def _expect_stage(self, now_ns: int) -> None:
+        """The stage must answer by the deadline only while it has something to do."""
+        waiting = self.shooting.awaits_trigger() and not self.paused
+        self._deadline_ns = now_ns + self.settings.motion_ns if waiting else None
+
+    def _look_around(self, now_ns: int) -> list[Action]:
+        """What follows from the state of things, whichever event brought it about."""
+        ready = self.shooting.segment_done and not self.shooting.ledger.pending
+        if self.phase is Phase.RUN and ready and not self.paused:
+            return self._next_segment(now_ns)
+        if self.phase is Phase.REPEAT and ready:
+            return self._check_limit(now_ns)
+        if self.phase is Phase.STOPPING and self._resting and not self.shooting.ledger.pending:
+            return self._after_stop(now_ns)
+        if self.phase is Phase.DRAIN and self.window.is_settled():
+            return self._finish(now_ns)
+        return []
+
+    def _report(self, code: str, **facts: object) -> FaultReport:
+        return report(code, 0, committed=len(self.window.committed), expected=self.count, **facts)
+
+
+_HANDLERS: dict[type, Callable[[Sweep, Any, int], list[Action]]] = {
+    WriterReady: Sweep._on_writer_ready,
+    Committed: Sweep._on_committed,
+    Refused: Sweep._on_refused,
+    Sealed: Sweep._on_sealed,
+    Triggered: Sweep._on_triggered,
+    SegmentDone: Sweep._on_rest,
+    Moved: Sweep._on_rest,
+    Stopped: Sweep._on_rest,
+    Held: Sweep._on_held,
+    Alarm: Sweep._on_alarm,
+    CameraFrame: Sweep._on_frame,
+    CameraGone: Sweep._on_camera_gone,
+    PauseRequested: Sweep._on_pause,
+    ResumeRequested: Sweep._on_resume,
+    StopRequested: Sweep._on_stop,
+    Tick: Sweep._on_tick,
+}
