@@ -37,7 +37,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Texture of the surface: relative peak variation of its albedo; 0 is uniform."""
     relief: Annotated[float, Meta(ge=0, le=1)] = 0.12
     """Fine relief of bone and foil: how far shading normals lean, as a tangent; the geometry stays smooth."""
-    ambient: Annotated[float, Meta(ge=0, le=1)] = 0.02
+    ambient: Annotated[float, Meta(ge=0, le=1)] = 0.04
     """Room light on a white surface, relative to the lamp at normal incidence."""
     board_ambient: Annotated[float, Meta(ge=0, le=1)] = 0.45
     """The same while a checkerboard lies on the stage: its corners are found by room light."""
