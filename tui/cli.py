@@ -1,0 +1,76 @@
+"""The command `sweepscope`: its subcommands, one line for every error, exit statuses for scripts."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
+from tui.commands import files, rig, services, tools
+from tui.commands.context import Session
+
+EXIT_INTERRUPTED = 130
+"""128 + SIGINT, as shells report it."""
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.option("--config", "config_path", metavar="RIG.TOML", help="Configuration file; see 'sweepscope config'.")
+@click.option("--debug", is_flag=True, help="Show the traceback of an unexpected error, and log more.")
+@click.pass_context
+def cli(context: click.Context, config_path: str | None, debug: bool) -> None:
+    """3D microscopy by a swept plane of light: run the rig, take scans, turn them into point clouds.
+
+    Try 'sweepscope demo' first: a whole scan on a simulated rig.
+    """
+    context.obj = Session(config_path, debug)
+
+
+for _command in (*services.COMMANDS, *rig.COMMANDS, *files.COMMANDS, *tools.COMMANDS):
+    cli.add_command(_command)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the command line ``arguments`` (without the program's name); returns the exit status."""
+    try:
+        status = cli.main(args=list(arguments), prog_name="sweepscope", standalone_mode=False)
+    except SweepscopeError as error:
+        return _complain(str(error), error.exit_status)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return EXIT_USAGE
+    except click.ClickException as error:
+        return _complain(error.format_message() + _where_to_look(error), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        return EXIT_INTERRUPTED
+    except Exception as error:  # noqa: BLE001 - the outermost rim: whatever it is becomes one line
+        return _unexpected(error, debug="--debug" in arguments)
+    return status if isinstance(status, int) else 0
+
+
+def _complain(text: str, exit_status: int) -> int:
+    print("sweepscope: " + " ".join(text.split()), file=sys.stderr)
+    return exit_status
+
+
+def _where_to_look(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    return f" (see '{context.command_path} --help')" if context is not None else ""
+
+
+def _unexpected(error: Exception, *, debug: bool) -> int:
+    if debug:
+        traceback.print_exc()
+    hint = "" if debug else " (a bug: 'sweepscope --debug ...' shows where)"
+    return _complain(f"unexpected {type(error).__name__}: {error}{hint}", EXIT_FAILED)
+
+
+def main() -> None:
+    """Entry point of the installed command."""
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Subcommands on files: import, reconstruct, verify, info; no service is needed."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE
+from tui.commands.context import json_option, print_json
+
+_SCAN = click.argument("scan", type=click.Path(path_type=Path))
+
+
+@click.command("import")
+@click.argument("frames_dir", type=click.Path(path_type=Path))
+@click.argument("target", metavar="SCAN.h5", type=click.Path(path_type=Path))
+@click.option("--force", is_flag=True, help="Replace an existing SCAN.h5.")
+@json_option
+def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
+    """Make a scan file of a folder of pictures.
+
+    png, bmp, jpg and tif are taken in natural order of their names."""
+    from acquire.importing import import_folder
+
+    summary = import_folder(frames_dir, target, force=force)
+    print_json(summary) if as_json else click.echo(str(summary))
+
+
+@click.command()
+@_SCAN
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.json; without one: maps, no cloud.")
+@click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, in counts of 8 bit [70].")
+@click.option("--edge", type=click.Choice(["rising", "falling"]), help="Which way pixels change [the calibration's].")
+@click.option("--median", type=click.IntRange(0, 31), help="Side of the median on the mask, odd; 0 for none [5].")
+@click.option("--method", type=click.Choice(["linear", "probit", "fit", "auto"]), help="Crossing estimate [linear].")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for maps.h5, cloud.ply, report.json.")
+@click.option("--force", is_flag=True, help="Go on where flags and calibration contradict.")
+@json_option
+def reconstruct(scan: Path, as_json: bool, **options: object) -> int:
+    """Turn a scan into maps and a coloured point cloud."""
+    from process.reconstruct import ReconstructOptions
+    from process.reconstruct import reconstruct as run
+
+    summary = run(scan, ReconstructOptions(**options))  # type: ignore[arg-type]
+    print_json(summary) if as_json else click.echo(str(summary))
+    return 0 if summary.complete else EXIT_INCOMPLETE
+
+
+@click.command()
+@_SCAN
+@json_option
+def verify(scan: Path, as_json: bool) -> int:
+    """Read a whole scan and check every frame."""
+    from acquire.verify import verify as run
+
+    report = run(scan)
+    print_json(report) if as_json else click.echo(str(report))
+    if not report.ok:
+        return EXIT_FAILED
+    return 0 if report.complete else EXIT_INCOMPLETE
+
+
+@click.command()
+@_SCAN
+@json_option
+def info(scan: Path, as_json: bool) -> None:
+    """Say what a scan holds."""
+    from acquire.verify import info as run
+
+    facts = run(scan)
+    print_json(facts) if as_json else click.echo(str(facts))
+
+
+COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, verify, info)

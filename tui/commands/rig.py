@@ -1,0 +1,128 @@
+"""Subcommands that ask the running daemon for something: status, scan, pause, resume, stop, and moves."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from tui.commands.context import Session, json_option, print_json
+
+
+@click.command()
+@json_option
+@click.pass_obj
+def status(session: Session, as_json: bool) -> None:
+    """Say what the rig is doing."""
+    from tui.words import status_lines
+
+    with session.client() as client:
+        now = client.status()
+    if as_json:
+        import msgspec
+
+        print_json(msgspec.to_builtins(now))
+        return
+    for line in status_lines(now):
+        click.echo(line)
+
+
+@click.command()
+@click.option("--name", default="sweep", show_default=True, help="Part of the scan folder's name.")
+@click.option("--first-steps", type=int, help="Position of frame 0 in microsteps.")
+@click.option("--last-steps", type=int, help="Position of the last frame in microsteps.")
+@click.option("--steps-per-frame", type=click.IntRange(min=1), help="Microsteps between two frames.")
+@click.option("--mode", type=click.Choice(["step", "fly"]), help="Stop for each frame, or trigger on the fly.")
+@click.option("--settle-ms", type=float, help="Rest between a step and its trigger, in ms.")
+@click.option("--specimen", help="What lies on the stage.")
+@click.option("--operator", help="Who takes the scan.")
+@click.option("--notes", help="Free text that goes into the file.")
+@click.option("--tag", "tags", multiple=True, help="May be given more than once.")
+@click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="What the scan is for.")
+@click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
+@json_option
+@click.pass_obj
+def scan(session: Session, /, wait: bool, as_json: bool, tags: tuple[str, ...], **args: Any) -> int:
+    """Run a sweep.
+
+    Without --wait the command returns as soon as the sweep has begun."""
+    from tui.follow import Narrator, exit_status_of, follow_scan
+    from tui.words import outcome_line
+
+    with session.client() as client:
+        result = client.request("scan", tags=list(tags) or None, **args).result
+        if not wait:
+            _show_started(result, as_json)
+            return 0
+        if not as_json:
+            _show_started(result, as_json=False)
+        narrator = Narrator(lambda line: click.echo(line, err=as_json))
+        end = follow_scan(client, str(result.get("scan_uid", "")), narrator.hear)
+    if as_json:
+        print_json({**result, "outcome": end.outcome, "committed": end.committed, "missing": end.missing})
+    else:
+        click.echo(f"{outcome_line(end)}\n{end.scan_path}")
+    return exit_status_of(end)
+
+
+def _show_started(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(f"sweep of {result.get('expected', '?')} frames into {result.get('path', '?')}")
+
+
+def _ask(session: Session, name: str, as_json: bool = False, **args: Any) -> None:
+    with session.client() as client:
+        result = client.request(name, **args).result
+    if as_json:
+        print_json({"ok": True, **result})
+    else:
+        click.echo(f"{name}: done" if not result else f"{name}: {_in_words(result)}")
+
+
+def _in_words(result: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in result.items())
+
+
+def _simple(name: str, manual: str) -> click.Command:
+    @click.command(name, help=manual)
+    @json_option
+    @click.pass_obj
+    def command(session: Session, as_json: bool) -> None:
+        _ask(session, name, as_json)
+
+    return command
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("position_steps", type=int)
+@json_option
+@click.pass_obj
+def goto(session: Session, position_steps: int, as_json: bool) -> None:
+    """Move the stage to POSITION_STEPS microsteps."""
+    _ask(session, "goto", as_json, position_steps=position_steps)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.argument("steps", type=int)
+@json_option
+@click.pass_obj
+def jog(session: Session, steps: int, as_json: bool) -> None:
+    """Move the stage by STEPS microsteps (negative: back)."""
+    _ask(session, "jog", as_json, steps=steps)
+
+
+COMMANDS: tuple[click.Command, ...] = (
+    status,
+    scan,
+    _simple("pause", "Hold the running sweep; nothing is lost."),
+    _simple("resume", "Go on with a sweep that holds."),
+    _simple("stop", "End the sweep, keep what was taken; stop the stage."),
+    goto,
+    jog,
+    _simple("home", "Find the zero of the stage."),
+    _simple("zero", "Make the present position the zero of the stage."),
+)

@@ -1,0 +1,119 @@
+"""Subcommands that start processes: the four services, the console, all at once (`up`), and the demonstration."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from tui.commands.context import Session
+
+
+def _lifeline() -> None:
+    from tui.lifeline import follow_parent
+
+    follow_parent()
+
+
+@click.command()
+@click.pass_obj
+def daemon(session: Session) -> None:
+    """Own motor, camera and lamp, and run sweeps."""
+    _lifeline()
+    session.log_as("daemon")
+    from acquire.daemon import run_daemon
+
+    run_daemon(session.config(), session.service_run_dir())
+
+
+@click.command()
+@click.pass_obj
+def writer(session: Session) -> None:
+    """Write frames into the scan file."""
+    _lifeline()
+    session.log_as("writer")
+    from acquire.writer import run_writer
+
+    run_writer(session.config(), session.service_run_dir())
+
+
+@click.command()
+@click.pass_obj
+def worker(session: Session) -> None:
+    """Turn frames into maps and a point cloud while they arrive."""
+    _lifeline()
+    session.log_as("worker")
+    from process.worker import run_worker
+
+    run_worker(session.config(), session.service_run_dir())
+
+
+@click.command()
+@click.option("--port", type=click.IntRange(0, 65_535), help="TCP port of the page; 0 takes any free one.")
+@click.pass_obj
+def viewer(session: Session, port: int | None) -> None:
+    """Show the cloud and the rig in a browser."""
+    _lifeline()
+    session.log_as("viewer")
+    from process.viewer.service import run_viewer
+
+    run_viewer(session.config(), session.service_run_dir(), port=port)
+
+
+@click.command()
+@click.option("--ascii", "ascii_only", is_flag=True, help="Draw with plain ASCII signs only.")
+@click.pass_obj
+def console(session: Session, ascii_only: bool) -> int:
+    """Show and steer the rig in this terminal.
+
+    Closing it never touches a sweep: come back at any time."""
+    from tui.terminal import require_terminal
+
+    require_terminal("the console")
+    session.config()  # an unusable rig.toml is told before the screen is taken
+    from tui.app import run_console
+
+    return run_console(ascii_only=ascii_only)
+
+
+@click.command()
+@click.pass_obj
+def up(session: Session) -> int:
+    """Run the four services until Ctrl-C.
+
+    Daemon, writer, worker and viewer; one that dies is started again."""
+    from tui.up import run_up
+
+    return run_up(session.config(), session.config_path, session.service_run_dir())
+
+
+@click.command()
+@click.option("--size", metavar="WxH", hidden=True, help="Pixels of the simulated camera.")
+@click.option("--frames", type=click.IntRange(2, 100_000), hidden=True, help="Frames over the whole travel.")
+@click.option("--time-scale", type=float, hidden=True, help="Factor on simulated durations.")
+@click.option("--object", "specimen", hidden=True, help="What lies on the stage.")
+@click.option("--seed", type=int, hidden=True)
+@click.option("--rate", "max_rate_hz", type=float, hidden=True, help="Frames per second at most.")
+@click.option("--data-dir", type=click.Path(path_type=Path), hidden=True)
+def demo(
+    size: str | None,
+    frames: int | None,
+    time_scale: float | None,
+    specimen: str | None,
+    seed: int | None,
+    max_rate_hz: float | None,
+    data_dir: Path | None,
+) -> int:
+    """Take a whole scan on a simulated rig.
+
+    On a terminal the console opens and the sweep starts at once; without one progress is printed. Scans go to
+    ./demo-data. No configuration file is read and no hardware is touched.
+    """
+    from tui.demo import DemoOptions, run_demo
+
+    return run_demo(DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir))
+
+
+COMMANDS: tuple[click.Command, ...] = (demo, up, console, daemon, writer, worker, viewer)

@@ -1,0 +1,95 @@
+"""Subcommands beside the rig: the effective configuration, benchmarks, the version."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+import click
+
+from tui.commands.context import Session, json_option, plain, print_json
+
+
+@click.command()
+@json_option
+@click.pass_obj
+def config(session: Session, as_json: bool) -> None:
+    """Print the effective configuration and its manual.
+
+    Each key stands with its manual, its value, and where the value came from."""
+    import msgspec
+
+    loaded = session.config()
+    if as_json:
+        values = msgspec.to_builtins(loaded.rig)
+        path = str(loaded.path) if loaded.path else None
+        print_json({"path": path, "values": values, "origins": loaded.origins})
+        return
+    click.echo(f"# {loaded.path or 'no rig.toml found: defaults'}\n\n{loaded.explained()}", nl=False)
+
+
+@click.group()
+def bench() -> None:
+    """Measure this machine, as ratios to a plain copy in memory."""
+
+
+def _size(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, int]:
+    from tui.sizes import parse_size
+
+    try:
+        return parse_size(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+_frames = click.option("--frames", type=click.IntRange(2, 100_000), default=527, show_default=True)
+_pixels = click.option("--size", metavar="WxH", default="1024x768", show_default=True, callback=_size)
+
+
+@bench.command()
+@_frames
+@_pixels
+@json_option
+def fold(frames: int, size: tuple[int, int], as_json: bool) -> None:
+    """Fold a synthetic sweep frame by frame."""
+    from process.bench import bench_fold
+
+    _show(bench_fold(frames, (size[1], size[0])), as_json)
+
+
+@bench.command()
+@_frames
+@_pixels
+@json_option
+def pipeline(frames: int, size: tuple[int, int], as_json: bool) -> None:
+    """Push a synthetic sweep through real writer and worker processes."""
+    from acquire.bench_pipeline import bench_pipeline
+
+    _show(bench_pipeline(frames, (size[1], size[0])), as_json)
+
+
+def _show(figures: object, as_json: bool) -> None:
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in plain(figures).items():
+        click.echo(f"{name.replace('_', ' '):<36} {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+@click.command()
+@json_option
+def version(as_json: bool) -> None:
+    """Print the versions of program, protocol and file layout."""
+    from importlib.metadata import version as installed
+
+    from acquire.contract.layout import LAYOUT_VERSION
+    from acquire.contract.messages import PROTOCOL
+
+    facts = {"program": installed("sweepscope"), "protocol": list(PROTOCOL), "layout": LAYOUT_VERSION}
+    if as_json:
+        print_json(facts)
+        return
+    major, minor = PROTOCOL
+    click.echo(f"sweepscope {facts['program']} (protocol {major}.{minor}, scan file layout {LAYOUT_VERSION})")
+
+
+COMMANDS: tuple[click.Command, ...] = (config, bench, version)
