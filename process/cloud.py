@@ -14,7 +14,7 @@ from .geometry import F8, Hits, PlaneTable, Rays, intersect
 from .replacing import replacing
 
 if TYPE_CHECKING:
-    from .fold import Maps
+    from .crossings import Maps
 
 LEFT_OUT = 1 | 2 | 128
 """Quality bits that keep a pixel out of the default cloud: lit at the start, plateau not reached, filtered."""

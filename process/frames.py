@@ -1,0 +1,122 @@
+"""Owns reading frames for the fold: stored pixels become grey or RGB, and damaged frames count as missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.errors import ScanFileError
+from acquire.contract.outcome import frame_crc32, scan_digest
+from acquire.contract.scan_reader import ScanLayout, ScanReader
+
+from .fold import to_grey
+
+_DEMOSAIC = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2RGB,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2RGB,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2RGB,
+}
+
+
+def displayed(pixels: NDArray[Any], pixel_format: str) -> NDArray[Any]:
+    """Stored pixels as the fold takes them: [h, w] grey or [h, w, 3] RGB; Bayer is demosaiced (bilinear)."""
+    code = _DEMOSAIC.get(pixel_format)
+    return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code))
+
+
+class ScanFrames:
+    """The frames of one scan file, checked against their checksums."""
+
+    def __init__(self, scan: Path) -> None:
+        """Open SCAN.
+
+        Raises:
+            ScanFileError: as ``ScanReader``.
+        """
+        self._reader = ScanReader(scan)
+        self.damaged: set[int] = set()
+        """Frames whose stored pixels do not have their checksum; they are treated as missing."""
+
+    def __enter__(self) -> ScanFrames:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; idempotent."""
+        self._reader.close()
+
+    @property
+    def layout(self) -> ScanLayout:
+        """What never changes."""
+        return self._reader.layout
+
+    @property
+    def count(self) -> int:
+        """Frames of the plan."""
+        return self._reader.count
+
+    @property
+    def outcome(self) -> str:
+        """As it is now; ``running`` until the writer seals."""
+        return self._reader.outcome
+
+    def usable(self) -> NDArray[np.bool_]:
+        """Frames that are committed and good now, [n]."""
+        return self._reader.present()
+
+    def status(self) -> NDArray[np.uint8]:
+        """Commit records as they are now, [n] (``FrameStatus``)."""
+        return self._reader.status()
+
+    def crc32(self) -> NDArray[np.uint32]:
+        """Recorded checksums as they are now, [n]; meaningful for present frames."""
+        return self._reader.field("crc32")
+
+    def positions_um(self) -> NDArray[np.float64]:
+        """Recorded stage positions, [n]; NaN where they are not known."""
+        return self._reader.field("position_um")
+
+    def digest(self) -> str:
+        """Digest over the frames that are present now."""
+        return scan_digest(np.where(self.usable(), self.crc32(), 0).astype(np.uint32))
+
+    def frame(self, frame_index: int, crc32: int) -> NDArray[Any] | None:
+        """Grey or RGB pixels of a committed frame; None (and ``damaged``) if they do not have this checksum."""
+        stored = self._reader.frame(frame_index)
+        if frame_crc32(stored) != crc32:
+            self.damaged.add(frame_index)
+            return None
+        return displayed(stored, self.layout.format.pixel_format)
+
+    def columns(self, frames: NDArray[np.intp], pixels: NDArray[np.intp]) -> NDArray[Any]:
+        """Grey values of a few ``pixels`` (flat indices) in all ``frames``, [len(frames), len(pixels)]."""
+        form = self.layout.format
+        found = np.empty((len(frames), len(pixels)), np.dtype(form.dtype))
+        for row, frame_index in enumerate(frames):
+            image = displayed(self._reader.frame(int(frame_index)), form.pixel_format)
+            chosen = image.reshape(form.height * form.width, -1)[pixels]
+            grey = chosen[:, 0] if image.ndim == 2 else to_grey(chosen[None], form.bit_depth)[0]
+            found[row] = grey
+        return found
+
+
+def open_frames(scan: Path, scan_uid: str) -> ScanFrames | None:
+    """The frames of the scan with this uid; None while its file is not there or is another scan's."""
+    try:
+        frames = ScanFrames(scan)
+    except ScanFileError:
+        return None
+    if frames.layout.scan_uid != scan_uid:
+        frames.close()
+        return None
+    return frames

@@ -1,0 +1,204 @@
+"""Owns what a folded scan leaves on disk: maps.h5, cloud.ply, report.json; worker and reconstruct share it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.errors import ScanFileError
+from acquire.contract.layout import CLOUD_NAME, MAPS_NAME, REPORT_NAME, TRUTH_NAME, FrameStatus
+
+from .cloud import Cloud, make_cloud, write_ply
+from .cursor import CursorCounts, FoldCursor
+from .fold import Fold
+from .frames import ScanFrames
+from .geometry import coordinates, plane_table, rays
+from .report import (
+    Report,
+    SweepChecks,
+    contrast_histogram,
+    sweep_speed,
+    truth_errors,
+    versions,
+    write_report,
+)
+from .results import MapsSource, write_maps
+from .settings import Settings
+
+
+@dataclass(frozen=True)
+class ResultPaths:
+    """Where the results of a scan stand."""
+
+    folder: Path
+
+    @property
+    def maps(self) -> Path:
+        """maps.h5."""
+        return self.folder / MAPS_NAME
+
+    @property
+    def cloud(self) -> Path:
+        """cloud.ply."""
+        return self.folder / CLOUD_NAME
+
+    @property
+    def report(self) -> Path:
+        """report.json."""
+        return self.folder / REPORT_NAME
+
+
+@dataclass
+class Timings:
+    """Seconds per stage, summed."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time of the block to ``name``."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Results:
+    """What was written."""
+
+    paths: ResultPaths
+    cloud: Cloud | None
+    """None without a light plane."""
+    report: Report
+
+
+def new_fold(settings: Settings, frames: Any, count: int) -> Fold:
+    """An empty fold for frames of this ``FrameFormat``."""
+    return Fold(
+        (frames.height, frames.width), bit_depth=frames.bit_depth, edge=settings.edge, frames_expected=max(count, 1)
+    )
+
+
+def cloud_of(
+    maps: Any, settings: Settings, folded: NDArray[np.bool_], position_um: NDArray[np.float64]
+) -> Cloud | None:
+    """The default cloud of some maps; None without a light plane.
+
+    Raises:
+        CalibrationError: the plane counts in um and the scan does not know its positions.
+    """
+    plane = settings.light_plane
+    if settings.calibration is None or plane is None:
+        return None
+    frame_t = coordinates(plane, len(folded), folded, position_um)
+    return make_cloud(maps, rays(settings.calibration.camera), plane_table(plane), frame_t)
+
+
+def write_results(
+    cursor: FoldCursor,
+    frames: ScanFrames,
+    settings: Settings,
+    folder: Path,
+    *,
+    outcome: str,
+    checks: SweepChecks,
+    timings: Timings,
+) -> Results:
+    """Turn a finished fold into files; each replaces its predecessor by a rename.
+
+    Raises:
+        ScanFileError: nothing was folded, or the file contradicts what was.
+        CalibrationError: as :func:`cloud_of`.
+        ResultWriteError: the folder cannot be written to.
+    """
+    if not cursor.folded.any():
+        raise ScanFileError(f"{frames.layout.path} holds no frame that can be used: there is nothing to reconstruct")
+    paths = ResultPaths(folder)
+    present = cursor.fold.present
+    with timings.stage("maps"):
+        maps = cursor.fold.result(
+            contrast=settings.contrast,
+            median=settings.median,
+            method=settings.method,
+            noise_counts=settings.noise_counts,
+            read_columns=lambda pixels: (present, frames.columns(present, pixels)),
+        )
+    with timings.stage("cloud"):
+        cloud = cloud_of(maps, settings, cursor.folded, frames.positions_um())
+    digest = frames.digest()
+    source = MapsSource(frames.layout.scan_uid, digest, cursor.fold.folded_through)
+    with timings.stage("write_cloud"):
+        if cloud is not None:
+            write_ply(paths.cloud, cloud)
+    with timings.stage("write_maps"):
+        write_maps(paths.maps, maps, settings, source)
+    with timings.stage("report"):
+        report = Report(
+            counts=counts(frames.status(), cursor.counts, maps.counts, cloud),
+            timings_s={},
+            contrast_histogram=contrast_histogram(maps.minimum, maps.maximum, frames.layout.format.bit_depth),
+            speed=sweep_speed(frames.layout.plan, settings.light_plane),
+            outcome=outcome,
+            digest=digest,
+            sweep=checks,
+            warnings=[*settings.warnings, *damage(frames), *filter(None, [settings.what_is_missing])],
+            settings=_settings(settings),
+            versions=versions(frames.layout.program_version),
+            truth=_truth(frames, cloud, settings),
+        )
+    report = msgspec.structs.replace(report, timings_s={k: round(v, 6) for k, v in timings.seconds.items()})
+    write_report(paths.report, report)
+    return Results(paths, cloud, report)
+
+
+def counts(
+    status: NDArray[np.uint8], cursor: CursorCounts, maps: dict[str, int], cloud: Cloud | None
+) -> dict[str, int]:
+    """The counts of report.json."""
+    committed = int(np.isin(status, (FrameStatus.GOOD, FrameStatus.RETAKEN)).sum())
+    return {
+        "frames": len(status),
+        "committed": committed,
+        "missing": len(status) - committed,
+        "retaken": int((status == FrameStatus.RETAKEN).sum()),
+        "points": 0 if cloud is None else len(cloud),
+        "from_live": cursor.from_live,
+        "from_file": cursor.from_file,
+        "refolded": cursor.refolded,
+        **maps,
+    }
+
+
+def damage(frames: ScanFrames) -> list[str]:
+    """Warnings about frames that are committed but cannot be trusted."""
+    if not frames.damaged:
+        return []
+    named = ", ".join(str(k) for k in sorted(frames.damaged)[:5])
+    return [f"{len(frames.damaged)} frames do not have their checksum and were left out: {named}"]
+
+
+def _settings(settings: Settings) -> dict[str, Any]:
+    return {
+        "contrast": settings.contrast,
+        "median": settings.median,
+        "edge": settings.edge,
+        "method": settings.method,
+        "noise_counts": settings.noise_counts,
+    }
+
+
+def _truth(frames: ScanFrames, cloud: Cloud | None, settings: Settings) -> Any:
+    path = frames.layout.path.parent / TRUTH_NAME
+    if cloud is None or not path.is_file():
+        return None
+    return truth_errors(path, cloud, settings.contrast)
