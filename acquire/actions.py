@@ -32,13 +32,6 @@ class Snap:
 
 
 @dataclass(frozen=True)
-class MoveTo:
-    """Start a move."""
-
-    position_steps: int
-
-
-@dataclass(frozen=True)
 class BeginSegment:
     """Start a segment of shots with its first credit."""
 
@@ -107,7 +100,6 @@ Action = (
     | Arm
     | Disarm
     | Snap
-    | MoveTo
     | BeginSegment
     | Grant
     | HoldStage

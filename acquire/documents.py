@@ -11,14 +11,17 @@ from acquire.cameras.protocol import CameraFrame
 from acquire.contract.messages import End, FrameFormat, Image, Role
 from acquire.contract.outcome import frame_crc32, scan_digest
 from acquire.contract.states import Outcome
+from acquire.contract.units import steps_to_um
 
 from .lockstep import Shot
+from .shooting import SweepSettings
 from .window import Window, ranges_of
 
 
-def image_of_shot(frame: CameraFrame, shot: Shot, frame_format: FrameFormat, role: Role = "sweep") -> Image:
+def image_of_shot(frame: CameraFrame, shot: Shot, settings: SweepSettings, role: Role = "sweep") -> Image:
     """The header of a frame that is paired with its trigger."""
     return Image(
+        scan_uid=settings.scan_uid,
         frame_index=shot.frame_index,
         role=role,
         attempt=shot.attempt,
@@ -28,19 +31,21 @@ def image_of_shot(frame: CameraFrame, shot: Shot, frame_format: FrameFormat, rol
         position_um=shot.position_um,
         trigger_cycles=shot.trigger_cycles,
         exposure_start_ns=frame.exposure_start_ns,
-        **_pixels(frame, frame_format),
+        **_pixels(frame, settings.format),
     )
 
 
-def image_of_snap(frame: CameraFrame, role: Role, position_steps: int, frame_format: FrameFormat) -> Image:
+def image_of_snap(frame: CameraFrame, role: Role, position_steps: int, settings: SweepSettings) -> Image:
     """The header of a dark or ambient frame."""
     return Image(
+        scan_uid=settings.scan_uid,
         frame_index=0,
         role=role,
         camera_frame_id=frame.camera_frame_id,
         position_steps=position_steps,
+        position_um=steps_to_um(position_steps, settings.plan.um_per_microstep),
         exposure_start_ns=frame.exposure_start_ns,
-        **_pixels(frame, frame_format),
+        **_pixels(frame, settings.format),
     )
 
 
@@ -70,7 +75,7 @@ def end_of_sweep(
     outcome: Outcome,
     reason: str,
     *,
-    count: int,
+    settings: SweepSettings,
     sent: int,
     window: Window,
     retaken: Iterable[int],
@@ -78,10 +83,12 @@ def end_of_sweep(
     checks: Mapping[str, float],
 ) -> End:
     """The account of a sweep; frames that are not committed are missing."""
+    count = settings.plan.count
     crc32 = np.zeros(count, np.uint32)
     for frame_index, value in window.committed.items():
         crc32[frame_index] = value
     return End(
+        scan_uid=settings.scan_uid,
         outcome=outcome,
         reason=reason,
         expected=count,

@@ -18,6 +18,7 @@ from .window import Window
 class SweepSettings:
     """What a sweep needs to know beforehand."""
 
+    scan_uid: str
     plan: SweepPlan
     format: FrameFormat
     run_up_steps: int

@@ -26,7 +26,6 @@ from .actions import (
     Disarm,
     Finish,
     HoldStage,
-    MoveTo,
     Publish,
     RaiseFault,
     ResumeStage,
@@ -58,7 +57,6 @@ class Phase(Enum):
     WAIT_WRITER = auto()
     AMBIENT = auto()
     WARM_UP = auto()
-    APPROACH = auto()
     RUN = auto()
     STOPPING = auto()
     """The segment was told to stop; what follows is decided when the stage rests."""
@@ -72,7 +70,7 @@ class Phase(Enum):
 
 COUNTERS: tuple[str, ...] = ("triggered", "received", "extra", "damaged", "lost")
 _SHOOTING = (Phase.RUN, Phase.STOPPING, Phase.REPEAT)
-_BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP, Phase.APPROACH)
+_BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP)
 
 
 @dataclass
@@ -150,20 +148,13 @@ class Sweep:
         if what_is_wrong(event, self.settings.format):
             self.counters["damaged"] += 1
             return self._warm_up(now_ns)
-        image = image_of_snap(event, "ambient", self.position_steps, self.settings.format)
+        image = image_of_snap(event, "ambient", self.position_steps, self.settings)
         return [Publish(image, event.pixels), *self._warm_up(now_ns)]
 
     def _warm_up(self, now_ns: int) -> list[Action]:
         self.phase = Phase.WARM_UP
         self._deadline_ns = now_ns + round(self.settings.warm_up_ns * self.settings.time_scale)
         return [SetLamp(on=True)]
-
-    def _approach(self, now_ns: int) -> list[Action]:
-        """Go to the outer side of frame 0, so that the segment's run-up takes up the backlash."""
-        plan = self.settings.plan
-        self.phase = Phase.APPROACH
-        self._moving_until(now_ns)
-        return [MoveTo(plan.first_steps - plan.direction * self.settings.run_up_steps)]
 
     # ---- shots ----
 
@@ -203,11 +194,11 @@ class Sweep:
         if self.phase is Phase.REPEAT:
             assert self._first_pixels is not None
             self.checks |= measure_drift(self._first_pixels, event.pixels)
-            return [Publish(image_of_shot(event, shot, self.settings.format, "repeat"), event.pixels)]
+            return [Publish(image_of_shot(event, shot, self.settings, "repeat"), event.pixels)]
         self.shooting.paired.add(shot.frame_index)
         if shot.frame_index == 0:
             self._first_pixels = event.pixels
-        publish = Publish(image_of_shot(event, shot, self.settings.format), event.pixels)
+        publish = Publish(image_of_shot(event, shot, self.settings), event.pixels)
         return [publish, *self._grant(now_ns)]
 
     def _grant(self, now_ns: int) -> list[Action]:
@@ -243,8 +234,6 @@ class Sweep:
     def _on_rest(self, event: SegmentDone | Moved | Stopped, now_ns: int) -> list[Action]:
         self.position_steps, self._resting, self._deadline_ns = event.position_steps, True, None
         self.shooting.segment_done = True
-        if self.phase is Phase.APPROACH:
-            return self._next_segment(now_ns)
         if self.phase is Phase.LIMIT:
             if isinstance(event, Moved) and event.steps_lost is not None:
                 self.checks["steps_lost"] = float(event.steps_lost)
@@ -310,7 +299,7 @@ class Sweep:
         end = end_of_sweep(
             self.outcome,
             self.reason,
-            count=self.count,
+            settings=self.settings,
             sent=len(self.shooting.paired),
             window=self.window,
             retaken=[k for k in self.shooting.attempts if k in self.window.committed],
@@ -390,7 +379,7 @@ class Sweep:
 
     def _time_is_up(self, now_ns: int) -> list[Action]:
         if self.phase is Phase.WARM_UP:
-            return self._approach(now_ns)
+            return self._next_segment(now_ns)
         if self.phase is Phase.AMBIENT:
             return [Say("no ambient frame came: the camera does not answer"), *self._warm_up(now_ns)]
         if self.phase is Phase.WAIT_WRITER:

@@ -86,8 +86,10 @@ class SweepConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Frames per second that are not exceeded."""
     repeat_first: bool = True
     """Take frame 0 once more after the sweep: a shift or a change of brightness is reported as drift."""
+    check_limit: bool = True
+    """Touch the limit switch again after the sweep: steps that were lost are reported."""
     dark_frames: bool = True
-    """Take one frame with the lamp off and one of the ambient light before the sweep."""
+    """Take one frame of the ambient light, the lamp off, before the sweep."""
 
 
 class ReconstructConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -25,7 +25,7 @@ class Segment(msgspec.Struct, frozen=True):
     period_ms: float = 0.0
     """Least time between two triggers; in fly mode it sets the speed."""
     run_up_steps: int = 0
-    """Distance from which shot 0 is approached, on the side opposite to the direction of travel."""
+    """Distance from which shot 0 is approached, on the side opposite to the direction of travel; less at a limit."""
 
 
 class StageInfo(msgspec.Struct, frozen=True):

@@ -1,0 +1,122 @@
+"""The simulated camera: exposes what the optics show for where the stage really is, one frame for each trigger."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import Counter
+
+from acquire.contract.config_model import RigConfig
+from acquire.contract.messages import FrameFormat
+from acquire.simulation import Renderer, Scene, build_scene
+
+from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
+
+_QUEUE_FRAMES = 8
+"""Exposures that wait for their picture; one more is lost, as on a camera whose memory is full."""
+_LIMITS = {"exposure_ms": (0.01, 75.0), "gain": (0.0, 20.0), "brightness_percent": (0.0, 100.0)}
+
+
+class SimulatedCamera:
+    """Renders the scene in a thread of its own. The lamp and the stage are asked at the moment of exposure."""
+
+    def __init__(self, config: RigConfig) -> None:
+        camera, simulation = config.camera, config.simulation
+        self._config = config
+        self._format = FrameFormat(
+            width=camera.width,
+            height=camera.height,
+            bit_depth=simulation.bit_depth,
+            pixel_format="rgb" if simulation.colour else "mono",
+        )
+        self._settings = CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
+        self._exposures: queue.Queue[tuple[float, int, int] | None] = queue.Queue(_QUEUE_FRAMES)
+        self._thread: threading.Thread | None = None
+        self._sink: CameraSink = lambda _frame: None
+        self._armed = False
+        self._frame_id = 0
+        self._taken: Counter[int] = Counter()
+        self.lamp_on = False
+        self.position_steps = 0
+        """Where the projector stands when a software trigger comes."""
+        self.lost_exposures = 0
+        self.scene: Scene | None = None
+
+    def open(self, sink: CameraSink) -> CameraInfo:
+        """Build the scene and start to deliver."""
+        self._sink = sink
+        if self.scene is None:
+            stage = self._config.stage
+            self.scene = build_scene(
+                self._config.simulation,
+                width=self._format.width,
+                height=self._format.height,
+                um_per_microstep=stage.um_per_microstep,
+            )
+        self._renderer = Renderer(self.scene)
+        self._thread = threading.Thread(target=self._serve, name="simulated-camera", daemon=True)
+        self._thread.start()
+        return CameraInfo(kind="simulated", format=self._format)
+
+    def close(self) -> None:
+        """Stop delivering; idempotent."""
+        self._armed = False
+        if self._thread is not None:
+            self._exposures.put(None)
+            self._thread.join(timeout=10)
+            self._thread = None
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings within the camera's limits; returns what is used."""
+        clipped = {name: min(max(getattr(settings, name), low), high) for name, (low, high) in _LIMITS.items()}
+        self._settings = CameraSettings(**clipped)
+        return self._settings
+
+    def arm(self) -> None:
+        """Expose at each trigger from now on."""
+        self._armed = True
+
+    def disarm(self) -> None:
+        """Ignore triggers."""
+        self._armed = False
+
+    def snap(self) -> None:
+        """One exposure now."""
+        self._expose(self.position_steps, time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+
+    def on_trigger(self, position_steps: int, at_ns: int) -> None:
+        """The trigger line: the stage stands at ``position_steps``."""
+        self.position_steps = position_steps
+        if self._armed:
+            self._expose(position_steps, at_ns)
+
+    def _expose(self, position_steps: float, at_ns: int) -> None:
+        camera_frame_id, self._frame_id = self._frame_id, self._frame_id + 1
+        try:
+            self._exposures.put_nowait((position_steps, camera_frame_id, at_ns))
+        except queue.Full:
+            self.lost_exposures += 1
+
+    def _serve(self) -> None:
+        while (exposure := self._exposures.get()) is not None:
+            position_steps, camera_frame_id, at_ns = exposure
+            self._wait_for_exposure(at_ns)
+            attempt = self._taken[round(position_steps)]
+            self._taken[round(position_steps)] += 1
+            pixels = self._renderer.render(
+                position_steps,
+                lamp=1.0 if self.lamp_on else 0.0,
+                exposure_ms=self._settings.exposure_ms,
+                gain=self._settings.gain,
+                brightness=self._settings.brightness_percent,
+                attempt=attempt,
+            )
+            self._sink(CameraFrame(pixels, camera_frame_id, at_ns))
+
+    def _wait_for_exposure(self, at_ns: int) -> None:
+        """A picture is there at the earliest when its exposure is over."""
+        exposure_s = self._settings.exposure_ms / 1000 * self._config.simulation.time_scale
+        remaining_s = at_ns / 1e9 + exposure_s - time.monotonic()
+        if remaining_s > 0:
+            time.sleep(remaining_s)

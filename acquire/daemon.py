@@ -1,0 +1,275 @@
+"""The rig daemon: owns stage, camera and lamp, runs one sweep at a time, and never loses a frame that it has seen.
+
+One loop in one thread takes what devices, writer and clients say and lets the pure sweep decide.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
+from acquire.contract.clocks import Clock, MonotonicClock
+from acquire.contract.config import LoadedConfig
+from acquire.contract.errors import ProtocolError, SweepscopeError
+from acquire.contract.faults import in_one_line, report
+from acquire.contract.lanes import Received, Sender, bind, receive
+from acquire.contract.messages import Command, FaultReport, Reply
+from acquire.contract.outcome import outcome_words
+from acquire.contract.places import lock_service, prepare_run_dir
+from acquire.contract.states import Outcome, State, transition
+from acquire.contract.units import NS_PER_S
+from acquire.stages.protocol import Alarm, Moved, SegmentDone, StageEvent, Stopped
+
+from .board import Board
+from .desk import Desk
+from .events import StopRequested, Tick
+from .frame_lane import FrameLane
+from .inbox import Inbox
+from .preparing import PreparedScan
+from .rig import Rig, build_rig
+from .running import RunningScan
+
+logger = logging.getLogger(__name__)
+POLL_MS = 10
+MAX_COMMANDS_PER_TURN = 32
+MAX_REMEMBERED_REPLIES = 256
+
+
+class Daemon:
+    """The loop and what it holds."""
+
+    def __init__(self, config: LoadedConfig, run_dir: Path, rig: Rig, clock: Clock | None = None) -> None:
+        self.config, self.rig = config, rig
+        self.clock = clock or MonotonicClock()
+        self.board = Board(config)
+        self.scan: RunningScan | None = None
+        self.ending = False
+        self._inbox = Inbox()
+        self._context: zmq.Context[Any] = zmq.Context()
+        self.lane = FrameLane(bind(self._context, zmq.ROUTER, run_dir, "frames"))
+        self.live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
+        self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
+        self._commands = Sender(bind(self._context, zmq.ROUTER, run_dir, "command"))
+        self._desk = Desk(self)
+        self._replies: OrderedDict[str, Reply] = OrderedDict()
+        self._status_due_ns = 0
+        self._changed = True
+        self._malformed = 0
+
+    # ---- life ----
+
+    def open(self) -> None:
+        """Connect the devices."""
+        camera = self.config.rig.camera
+        self.camera_info = self.rig.camera.open(self._inbox.put)
+        self.settings = self.rig.camera.configure(
+            CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
+        )
+        self.stage_info = self.rig.stage.open(self._inbox.put)
+        self.enter(State.IDLE)
+        self.say(f"ready: {self.stage_info.kind} stage, {self.camera_info.kind} camera")
+
+    def run(self) -> None:
+        """Serve until told to end, then bring the running sweep to its end within the stop time-out."""
+        poller = zmq.Poller()
+        for source in (self.lane.socket, self._commands.socket, self._inbox.fileno()):
+            poller.register(source, zmq.POLLIN)
+        deadline_ns: int | None = None
+        while True:
+            poller.poll(POLL_MS)
+            self._turn()
+            if not self.ending:
+                continue
+            now_ns = self.clock.now_ns()
+            if deadline_ns is None:
+                deadline_ns = now_ns + round(self.config.rig.limits.stop_s * NS_PER_S)
+                self._interrupt(now_ns)
+            if self.scan is None or now_ns > deadline_ns:
+                break
+
+    def close(self) -> None:
+        """Bring everything to rest; each step is tried even if the one before failed."""
+        steps: tuple[Callable[[], object], ...] = (
+            self.rig.stage.stop,
+            self.rig.camera.disarm,
+            lambda: self.scan.close() if self.scan is not None else None,
+            self.rig.stage.close,
+            self.rig.camera.close,
+            self._publish_last,
+            lambda: self._context.destroy(linger=200),
+            self._inbox.close,
+        )
+        for step in steps:
+            try:
+                step()
+            except Exception:  # noqa: BLE001 - the outermost end: one failing step must not keep the next from running
+                logger.exception("a step of the cleanup failed")
+
+    # ---- what clients may use ----
+
+    def say(self, text: str) -> None:
+        """Put a line on the status board and into the log."""
+        logger.info(text)
+        self.board.message = text
+        self._changed = True
+
+    def fault(self, fault: FaultReport) -> None:
+        """Show a fault until the operator has seen it."""
+        logger.error(in_one_line(fault))
+        self.board.add_fault(fault, self.clock.now_ns())
+        self.board.message = in_one_line(fault)
+        self._changed = True
+
+    def enter(self, state: State) -> None:
+        """Change the rig's state by the table."""
+        if state != self.board.state:
+            self.board.state = transition(self.board.state, state)
+            self._changed = True
+
+    def begin_scan(self, prepared: PreparedScan) -> None:
+        """Start a scan that was checked."""
+        now_ns = self.clock.now_ns()
+        self.board.scan_started(now_ns)
+        self.scan = RunningScan(prepared, self.rig, self.lane, self.live, on_fault=self.fault, on_message=self.say)
+        self.scan.begin(now_ns)
+        self.enter(State.ARMED)
+        for warning in prepared.warnings:
+            self.say(warning)
+
+    # ---- one turn of the loop ----
+
+    def _turn(self) -> None:
+        now_ns = self.clock.now_ns()
+        for event in self._inbox.take_all():
+            self._take_device_event(event, now_ns)
+        for lane_event in self.lane.poll(now_ns):
+            if self.scan is not None:
+                self.scan.handle(lane_event, now_ns)
+                self._changed = True
+        self._serve_commands()
+        if self.scan is not None:
+            self.scan.handle(Tick(), now_ns)
+            self._follow_scan()
+        self.rig.stage.keep_alive()
+        self._publish_status(now_ns)
+
+    def _take_device_event(self, event: StageEvent | CameraFrame | CameraGone, now_ns: int) -> None:
+        self._changed = True
+        if self.scan is not None:
+            self.scan.handle(event, now_ns)
+        elif isinstance(event, Alarm):
+            self.fault(report(event.code, detail=event.detail, committed=0, expected=0))
+            self.enter(State.FAULT)
+        elif isinstance(event, (Moved, Stopped, SegmentDone)) and self.board.state in (State.MOVING, State.HOMING):
+            self.enter(State.IDLE)
+
+    def _follow_scan(self) -> None:
+        assert self.scan is not None
+        sweep = self.scan.sweep
+        if not self.scan.done:
+            self.enter(sweep.state)
+            return
+        self._publish_status(self.clock.now_ns(), force=True)
+        committed, outcome = len(sweep.window.committed), sweep.outcome
+        self.scan.close()
+        self.scan = None
+        for state in (State.FINISHING, State.IDLE):
+            self.enter(state)
+        self.say(outcome_words(outcome, committed, sweep.count) + (f" ({sweep.reason})" if sweep.reason else ""))
+
+    def _interrupt(self, now_ns: int) -> None:
+        """The service ends: so does the sweep, with an honest end."""
+        if self.scan is not None:
+            self.fault(report("F24", committed=len(self.lane.window.committed), expected=self.scan.sweep.count))
+            self.scan.handle(StopRequested(Outcome.ABORTED, "F24 the service was told to stop"), now_ns)
+
+    # ---- clients ----
+
+    def _serve_commands(self) -> None:
+        for _ in range(MAX_COMMANDS_PER_TURN):
+            try:
+                received = receive(self._commands.socket)
+            except ProtocolError as error:
+                self._malformed += 1
+                logger.warning("command lane: %s", error)
+                continue
+            if received is None:
+                return
+            self._answer(received)
+
+    def _answer(self, received: Received) -> None:
+        command = received.message
+        if not isinstance(command, Command):
+            self._malformed += 1
+            return
+        reply = self._replies.get(command.request_id)
+        if reply is None:
+            reply = self._reply_to(command)
+            self._replies[command.request_id] = reply
+            while len(self._replies) > MAX_REMEMBERED_REPLIES:
+                self._replies.popitem(last=False)
+        self._commands.send(reply, routing_id=received.routing_id)
+        self._changed = True
+
+    def _reply_to(self, command: Command) -> Reply:
+        try:
+            return Reply(request_id=command.request_id, ok=True, result=self._desk.serve(command.name, command.args))
+        except SweepscopeError as error:
+            return Reply(request_id=command.request_id, ok=False, error=str(error))
+
+    # ---- status ----
+
+    def _publish_status(self, now_ns: int, *, force: bool = False) -> None:
+        hz = self.config.rig.limits.status_hz
+        if not force and now_ns < self._status_due_ns and not (self._changed and now_ns >= self._status_next_ns):
+            return
+        self._changed = False
+        self._status_due_ns = now_ns + round(NS_PER_S / hz)
+        self._status_next_ns = now_ns + NS_PER_S // 25
+        self._status.send(
+            self.board.status(
+                now_ns,
+                stage=self.rig.stage.status(),
+                stage_info=self.stage_info,
+                camera_info=self.camera_info,
+                settings=self.settings,
+                lane=self.lane,
+                scan=self.scan,
+            )
+        )
+
+    _status_next_ns = 0
+
+    def _publish_last(self) -> None:
+        self.board.state = State.DISCONNECTED
+        self._publish_status(self.clock.now_ns(), force=True)
+
+
+def run_daemon(config: LoadedConfig, run_dir: Path) -> None:
+    """The daemon service: locks, binds, opens the rig, serves until SIGTERM or SIGINT.
+
+    Raises:
+        AlreadyRunningError: another daemon holds the lock.
+        ConfigError: a socket or a driver that cannot be.
+    """
+    lock = lock_service(prepare_run_dir(run_dir), "daemon")
+    daemon = Daemon(config, run_dir, build_rig(config.rig))
+
+    def end(_signal: int, _frame: object) -> None:
+        daemon.ending = True
+
+    signal.signal(signal.SIGTERM, end)
+    signal.signal(signal.SIGINT, end)
+    try:
+        daemon.open()
+        daemon.run()
+    finally:
+        daemon.close()
+        lock.release()

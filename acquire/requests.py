@@ -1,0 +1,102 @@
+"""What clients may ask of the daemon: each command's arguments as a typed struct with bounds."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.messages import Purpose
+from acquire.contract.plan import Position
+
+Label = Annotated[str, Meta(max_length=200)]
+
+
+class ScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``scan``: what is left out comes from the configuration."""
+
+    name: Annotated[str, Meta(min_length=1, max_length=100)] = "scan"
+    first_steps: Position | None = None
+    last_steps: Position | None = None
+    steps_per_frame: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    mode: Literal["step", "fly"] | None = None
+    settle_ms: Annotated[float, Meta(ge=0, le=60_000)] | None = None
+    specimen: Label = ""
+    operator: Label = ""
+    notes: Annotated[str, Meta(max_length=4000)] = ""
+    tags: Annotated[list[Label], Meta(max_length=50)] = []
+    purpose: Purpose = "object"
+
+
+class GotoRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``goto``: an absolute move."""
+
+    position_steps: Position
+
+
+class JogRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``jog``: one bounded relative move."""
+
+    steps: Annotated[int, Meta(ge=-10_000, le=10_000)]
+
+
+class LampRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``lamp``: on or off."""
+
+    on: bool
+
+
+class CameraRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``camera``: settings that change; those left out stay."""
+
+    exposure_ms: Annotated[float, Meta(gt=0, le=60_000)] | None = None
+    gain: Annotated[float, Meta(ge=0, le=48)] | None = None
+    brightness_percent: Annotated[float, Meta(ge=0, le=100)] | None = None
+
+
+class AcknowledgeRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``acknowledge``: the operator has seen a fault; empty means all."""
+
+    code: Annotated[str, Meta(max_length=8)] = ""
+
+
+class NoArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Commands that take none."""
+
+
+REQUESTS: dict[str, type[msgspec.Struct]] = {
+    "scan": ScanRequest,
+    "pause": NoArguments,
+    "resume": NoArguments,
+    "stop": NoArguments,
+    "status": NoArguments,
+    "goto": GotoRequest,
+    "jog": JogRequest,
+    "home": NoArguments,
+    "zero": NoArguments,
+    "lamp": LampRequest,
+    "camera": CameraRequest,
+    "acknowledge": AcknowledgeRequest,
+    "shutdown": NoArguments,
+}
+
+R = TypeVar("R", bound=msgspec.Struct)
+
+
+def parse_request(name: str, args: dict[str, Any]) -> msgspec.Struct:
+    """The typed arguments of a command.
+
+    Raises:
+        CommandRefusedError: an unknown command (with the nearest one), an unknown argument, or a value out of bounds.
+    """
+    struct = REQUESTS.get(name)
+    if struct is None:
+        near = difflib.get_close_matches(name, REQUESTS, n=1, cutoff=0.0)
+        raise CommandRefusedError(f"there is no command {name[:40]!r}; did you mean {near[0]!r}?")
+    try:
+        return msgspec.convert(args, struct, strict=True)
+    except msgspec.ValidationError as error:
+        raise CommandRefusedError(f"{name}: {error}") from None

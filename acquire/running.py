@@ -1,0 +1,129 @@
+"""One running scan inside the daemon: carries the sweep's actions out; nothing else touches the devices meanwhile."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import NDArray
+
+from acquire.contract.errors import SweepscopeError
+from acquire.contract.lanes import Sender
+from acquire.contract.layout import OWNER_LOCK_NAME, TRUTH_NAME
+from acquire.contract.messages import FaultReport, Image
+from acquire.stages.protocol import Alarm
+
+from . import actions as do
+from .events import SweepEvent
+from .frame_lane import FrameLane
+from .preparing import PreparedScan
+from .rig import Rig
+from .shooting import Shooting
+from .sweep import Phase, Sweep
+
+logger = logging.getLogger(__name__)
+
+
+class RunningScan:
+    """Binds a sweep to stage, camera and lanes. One thread calls everything."""
+
+    def __init__(
+        self,
+        prepared: PreparedScan,
+        rig: Rig,
+        lane: FrameLane,
+        live: Sender,
+        *,
+        on_fault: Callable[[FaultReport], None],
+        on_message: Callable[[str], None],
+    ) -> None:
+        self.prepared = prepared
+        self._rig, self._lane, self._live = rig, lane, live
+        self._on_fault, self._on_message = on_fault, on_message
+        self.live_drops = 0
+        self._truth: threading.Thread | None = None
+        lane.begin(prepared.start, prepared.slots)
+        self.sweep = Sweep(Shooting(prepared.settings, lane.window))
+        live.send(prepared.start)
+
+    def begin(self, now_ns: int) -> None:
+        """Announce the scan; nothing moves until the writer is ready."""
+        self.sweep.position_steps = self._rig.stage.status().position_steps
+        self.sweep.start(now_ns)
+        self._truth = self._rig.write_truth(self.prepared.folder, self.prepared.start.plan)
+
+    def handle(self, event: SweepEvent, now_ns: int) -> None:
+        """Let the sweep answer to an event, and do what it says. A device that refuses ends the sweep."""
+        try:
+            self._carry_out(self.sweep.handle(event, now_ns))
+        except SweepscopeError as error:
+            logger.error("a device refused: %s", error)
+            position = self._rig.stage.status().position_steps
+            alarm = Alarm("F12", str(error), position, position_trusted=False)
+            self._carry_out(self.sweep.handle(alarm, now_ns))
+
+    @property
+    def done(self) -> bool:
+        """The scan is over and its outcome known."""
+        return self.sweep.phase is Phase.DONE
+
+    def close(self) -> None:
+        """Let go of the scan: nobody owns it any more."""
+        self._lane.forget()
+        if self._truth is not None:
+            self._truth.join(timeout=60)
+        self._remove_if_empty()
+        self.prepared.lock.release()
+
+    def _remove_if_empty(self) -> None:
+        """A folder in which no scan file was ever made is no scan."""
+        folder = self.prepared.folder
+        left = {path.name for path in folder.iterdir()} - {OWNER_LOCK_NAME, TRUTH_NAME}
+        if not left and self.sweep.result is None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _carry_out(self, actions: list[do.Action]) -> None:
+        for action in actions:
+            self._do(action)
+
+    def _do(self, action: do.Action) -> None:  # noqa: C901, PLR0912 - one line for each action, nothing else
+        stage, camera = self._rig.stage, self._rig.camera
+        match action:
+            case do.Publish(image, pixels):
+                self._publish(image, pixels)
+            case do.Grant(through):
+                stage.grant(through)
+            case do.BeginSegment(segment, through):
+                stage.begin_segment(segment, through)
+            case do.Arm():
+                camera.arm()
+            case do.Disarm():
+                camera.disarm()
+            case do.Snap():
+                camera.snap()
+            case do.SetLamp(on):
+                self._rig.set_lamp(on=on)
+            case do.HoldStage():
+                stage.hold()
+            case do.ResumeStage():
+                stage.resume()
+            case do.StopStage():
+                stage.stop()
+            case do.CheckLimit():
+                stage.check_limit()
+            case do.Finish(end):
+                self._lane.finish(end)
+                self._live.send(end)
+            case do.RaiseFault(fault):
+                self._on_fault(fault)
+            case do.Say(text):
+                self._on_message(text)
+
+    def _publish(self, image: Image, pixels: NDArray[Any]) -> None:
+        """The lossless lane first; the live lane may drop, and counts it."""
+        self._lane.offer(image, pixels)
+        if not self._live.send(image, pixels):
+            self.live_drops += 1
