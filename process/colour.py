@@ -1,0 +1,55 @@
+"""Own the colour of each pixel: that of the frame of its first maximum, for either edge."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from process.vector_blocks import BLOCK, higher_than, lowest_bit
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _take(pixel, grey, frame, highest, colour, shift):
+    highest[pixel] = grey[pixel]
+    for channel in range(3):
+        colour[pixel, channel] = frame[pixel, channel] >> shift
+
+
+@njit(cache=True, nogil=True)
+def take_new_maxima(grey, frame, highest, colour, shift):
+    """Where grey [pixels] is above highest [pixels]: take it, and frame [pixels, 3] as 8 bit into colour."""
+    whole = grey.size - grey.size % BLOCK
+    for block in range(0, whole, BLOCK):
+        mask = higher_than(grey, block, highest, block)
+        while mask != 0:
+            _take(block + lowest_bit(mask), grey, frame, highest, colour, shift)
+            mask &= mask - np.uint64(1)
+    for pixel in range(whole, grey.size):
+        if grey[pixel] > highest[pixel]:
+            _take(pixel, grey, frame, highest, colour, shift)
+
+
+class ColourOfMaximum:
+    """Running colour [h, w, 3] of the brightest original grey so far; the earlier frame wins a tie."""
+
+    def __init__(self, shape: tuple[int, int], bit_depth: int) -> None:
+        self._shift = bit_depth - 8
+        self._highest: NDArray[Any] | None = None
+        self._colour = np.zeros((shape[0] * shape[1], 3), np.uint8)
+        self._shape = shape
+
+    def add(self, grey: NDArray[Any], frame: NDArray[Any]) -> None:
+        """Take a frame [h, w, 3] and its original grey [h, w], uint8 or uint16."""
+        flat, pixels = np.ascontiguousarray(grey).reshape(-1), np.ascontiguousarray(frame).reshape(-1, 3)
+        if self._highest is None:
+            self._highest = flat.copy()
+            self._colour[:] = pixels >> self._shift
+            return
+        take_new_maxima(flat, pixels, self._highest, self._colour, self._shift)
+
+    def copy(self) -> NDArray[np.uint8]:
+        """Colours so far: [h, w, 3] uint8 RGB."""
+        return self._colour.reshape(*self._shape, 3).copy()

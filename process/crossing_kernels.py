@@ -1,0 +1,131 @@
+"""Own the per-pixel arithmetic of crossings: samples from columns, the linear estimate, sigma and quality.
+
+Everything is in the folded signal (the complement for falling edges) and in float64, in the written order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from process.fold_kernels import NEVER, NO_DIP
+from process.quality import Quality
+
+GAUSS = 2.5066
+"""sqrt(2 pi): an erf edge of standard deviation w and height A has the slope A / (GAUSS w)."""
+
+_LIT = int(Quality.LIT_AT_START)
+_PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
+_NO_DARK = int(Quality.NO_DARK_LEVEL)
+_SEVERAL = int(Quality.SEVERAL)
+_MISSING = int(Quality.MISSING_NEIGHBOUR)
+
+
+class Samples(NamedTuple):
+    """What an estimate of a crossing needs of each pixel; flat arrays [pixels], levels of the folded signal."""
+
+    minimum: NDArray[np.uint16]
+    maximum: NDArray[np.uint16]
+    first: NDArray[np.uint16]
+    """Value in the first folded frame."""
+    ordinal: NDArray[np.int32]
+    """First frame at or above S as its place among the folded ones; NEVER or UNKNOWN."""
+    level: NDArray[np.uint16]
+    """Value in that frame."""
+    before: NDArray[np.uint16]
+    """Value in the folded frame before it."""
+    later_dip: NDArray[np.int32]
+    """Lowest value from there to the last new maximum; NO_DIP where there is no later one."""
+    last_ordinal: NDArray[np.int32]
+    """Place of the frame of the first maximum."""
+    tail_dip: NDArray[np.uint16]
+    """Lowest value from the first maximum on."""
+    tail_rise: NDArray[np.uint16]
+    """Largest rise above the running lowest value from the first maximum on."""
+
+
+@njit(cache=True, nogil=True)
+def sample_columns(columns, samples):
+    """Fill samples from the whole sequence of some pixels: columns [frames, pixels], folded signal."""
+    frames, pixels = columns.shape
+    for pixel in range(pixels):
+        high = np.int64(columns[0, pixel])
+        low = high
+        last = 0
+        for k in range(1, frames):
+            value = np.int64(columns[k, pixel])
+            low = min(low, value)
+            if value > high:
+                high, last = value, k
+        first_above = 0
+        while 2 * np.int64(columns[first_above, pixel]) < low + high:
+            first_above += 1
+        later = np.int64(NO_DIP)
+        for k in range(first_above + 1, last + 1):
+            later = min(later, np.int64(columns[k, pixel]))
+        dip, rise = high, np.int64(0)
+        for k in range(last, frames):
+            value = np.int64(columns[k, pixel])
+            dip = min(dip, value)
+            rise = max(rise, value - dip)
+        samples.minimum[pixel], samples.maximum[pixel] = low, high
+        samples.first[pixel] = columns[0, pixel]
+        samples.ordinal[pixel] = first_above if first_above > 0 else NEVER
+        samples.level[pixel] = columns[first_above, pixel]
+        samples.before[pixel] = columns[max(first_above - 1, 0), pixel]
+        samples.later_dip[pixel], samples.last_ordinal[pixel] = later, last
+        samples.tail_dip[pixel], samples.tail_rise[pixel] = dip, rise
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _edge_quality(low, high, width, crossing, from_last_maximum, first, last):
+    bits = 0
+    if from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
+        bits |= _PLATEAU
+    if crossing - first < 2.5 * width + 1:
+        bits |= _NO_DARK
+    return bits
+
+
+@njit(cache=True, nogil=True)
+def estimate_linear(selected, samples, present, noise, crossing, sigma, quality):
+    """Linear crossing (frame index), sigma (frames) and quality of the selected pixels.
+
+    selected: flat indices into samples and the outputs. present: frame index of each folded frame.
+    noise: standard deviation in levels. Outputs are changed only at selected pixels; a pixel whose
+    crossing is UNKNOWN is left alone.
+    """
+    first, last = present[0], present[present.size - 1]
+    for index in range(selected.size):
+        pixel = selected[index]
+        low, high = np.int64(samples.minimum[pixel]), np.int64(samples.maximum[pixel])
+        total = low + high
+        if 2 * np.int64(samples.first[pixel]) >= total:
+            quality[pixel] |= _LIT
+            continue
+        ordinal = samples.ordinal[pixel]
+        if ordinal < 0:
+            continue
+        after, before = present[ordinal], present[ordinal - 1]
+        base = np.float64(samples.before[pixel])
+        step = np.float64(samples.level[pixel]) - base
+        half = np.float64(total) / 2.0
+        span = np.float64(after - before)
+        time = before + span * (half - base) / step
+        fraction = (half - base) / step
+        crossing[pixel] = time
+        sigma[pixel] = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
+        width = np.float64(high - low) / (GAUSS * step / span)
+        behind = np.float64(last - present[samples.last_ordinal[pixel]])
+        bits = _edge_quality(low, high, width, time, behind, first, last)
+        quarter = 3 * low + high
+        if 4 * np.int64(samples.later_dip[pixel]) <= quarter:
+            bits |= _SEVERAL
+        if 4 * np.int64(samples.tail_dip[pixel]) <= quarter and 2 * np.int64(samples.tail_rise[pixel]) >= high - low:
+            bits |= _SEVERAL
+        if after - before > 1:
+            bits |= _MISSING
+        quality[pixel] |= bits

@@ -1,0 +1,265 @@
+"""Own the one-pass fold of a sweep: each frame once, in order, in bounded memory, exact.
+
+Promises the same maps as reading the whole sequence twice (first the extremes, then the crossing), bit
+for bit, for rising and falling edges and whatever the contrast chosen afterwards. One thread at a time.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from process.colour import ColourOfMaximum
+from process.crossing_kernels import Samples, sample_columns
+from process.crossings import Choices, Edge, Folded, Maps, ReadColumns, empty_samples, full_scale, make_maps
+from process.fold_kernels import (
+    MAX_FRAMES,
+    MAXIMUM,
+    MINIMUM,
+    PLANES,
+    TAIL_DIP,
+    TAIL_RISE,
+    TILE,
+    Found,
+    Log,
+    find_crossings,
+    fold_frames,
+    start_state,
+)
+
+__all__ = ["Fold", "Maps", "level_type", "to_grey", "warm_up"]
+
+BATCH = 4
+"""Frames kept before a pass over the state: enough to spare memory traffic, few enough to stay in the cache."""
+
+RECORDS = 16
+"""Room for new maxima, per pixel on average over a tile; a noisy edge makes 5 to 15."""
+
+_RESULT_BYTES = 64
+"""Bytes per pixel of one result and what it takes to make it."""
+
+
+def level_type(bit_depth: int) -> np.dtype[Any]:
+    """Type that stores a depth of 8 (uint8) or 9 to 16 bits (uint16, right-aligned)."""
+    if not 8 <= bit_depth <= 16:
+        raise ValueError(f"a bit depth of 8 to 16 can be folded, not {bit_depth}")
+    return np.dtype(np.uint8 if bit_depth == 8 else np.uint16)
+
+
+def to_grey(frame: NDArray[Any], bit_depth: int) -> NDArray[Any]:
+    """Grey of a frame in its stored depth: [h, w] as it is, [h, w, 3] RGB by OpenCV's weights.
+
+    Raises ValueError where the type does not fit the depth or the shape is neither.
+    """
+    if frame.dtype != level_type(bit_depth):
+        raise ValueError(f"frames of {bit_depth} bit are {level_type(bit_depth)}, not {frame.dtype}")
+    if frame.ndim == 2:
+        return frame
+    if frame.ndim != 3 or frame.shape[2] != 3:
+        raise ValueError(f"a frame is [h, w] grey or [h, w, 3] RGB, not {frame.shape}")
+    grey: NDArray[Any] = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY))
+    return grey.reshape(frame.shape[:2])
+
+
+def _aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Zeros on a cache line, every page touched now: the first frames must not pay for it."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    raw = np.empty(size + 64, np.uint8)
+    raw[:] = 0
+    start = -raw.ctypes.data % 64
+    return raw[start : start + size].view(dtype).reshape(shape)
+
+
+def _tiles(shape: tuple[int, int]) -> int:
+    return -(-shape[0] * shape[1] // TILE)
+
+
+class Fold:
+    """One-pass exact fold of one sweep."""
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        *,
+        bit_depth: int,
+        edge: Edge,
+        frames_expected: int,
+        records: int = RECORDS,
+    ) -> None:
+        """Take all memory of the sweep at once (see bytes_needed).
+
+        shape: (height, width). frames_expected: frame indices lie below it; at most 65536. records:
+        room for new maxima per pixel, 2 or more. Raises ValueError for anything outside these.
+        """
+        if shape[0] < 1 or shape[1] < 1:
+            raise ValueError(f"a frame needs at least one pixel, not {shape}")
+        if edge not in ("rising", "falling"):
+            raise ValueError(f"the edge is rising or falling, not {edge!r}")
+        if not 1 <= frames_expected <= MAX_FRAMES:
+            raise ValueError(f"a fold takes 1 to {MAX_FRAMES} frames, not {frames_expected}")
+        if records < 2:
+            raise ValueError(f"the log needs room for 2 records per pixel, not {records}")
+        self._shape, self._edge, self._bit_depth = shape, edge, bit_depth
+        self._frames_expected = frames_expected
+        self._dtype = level_type(bit_depth)
+        self._pixels = shape[0] * shape[1]
+        tiles = _tiles(shape)
+        self._slots = BATCH + 1
+        self._ring = _aligned((self._slots, tiles * TILE), self._dtype)
+        self._first = _aligned((tiles * TILE,), self._dtype)
+        self._state = _aligned((tiles, PLANES, TILE), self._dtype)
+        self._log = Log(
+            where=_aligned((tiles, records * TILE), np.uint32),
+            levels=_aligned((tiles, records * TILE, 3), self._dtype),
+            waiting=np.zeros(tiles, np.int64),
+            lost_low=_aligned((tiles * TILE,), self._dtype),
+        )
+        self._colour: ColourOfMaximum | None = None
+        self._present: list[int] = []
+        self._pending = 0
+
+    @staticmethod
+    def bytes_needed(shape: tuple[int, int], bit_depth: int) -> int:
+        """Memory in bytes that a fold of this format takes at most, one result and colour included."""
+        level = level_type(bit_depth).itemsize
+        per_pixel = (BATCH + 1 + PLANES + 2) * level + RECORDS * (4 + 3 * level) + (level + 3) + _RESULT_BYTES
+        return _tiles(shape) * TILE * per_pixel
+
+    @property
+    def folded_through(self) -> int:
+        """Index of the last frame folded; -1 before the first."""
+        return self._present[-1] if self._present else -1
+
+    @property
+    def present(self) -> NDArray[np.int64]:
+        """Indices of all folded frames, ascending."""
+        return np.array(self._present, np.int64)
+
+    def add(self, frame_index: int, frame: NDArray[Any]) -> None:
+        """Fold the next frame: [h, w] grey or [h, w, 3] RGB; it is copied. Indices left out are missing.
+
+        Raises ValueError, and folds nothing, for an index that does not increase or is not expected,
+        another shape, type or number of channels, or a value above the depth's full scale.
+        """
+        if not self.folded_through < frame_index < self._frames_expected:
+            raise ValueError(
+                f"frame {frame_index} cannot follow frame {self.folded_through} of {self._frames_expected} expected"
+            )
+        grey = to_grey(frame, self._bit_depth)
+        if grey.shape != self._shape:
+            raise ValueError(f"frame {frame_index} has shape {grey.shape}, the fold {self._shape}")
+        self._check_channels(frame)
+        full = full_scale(self._bit_depth)
+        if 8 < self._bit_depth < 16 and int(grey.max()) > full:
+            raise ValueError(f"frame {frame_index} has a value above {full}, the most of {self._bit_depth} bit")
+        if self._colour is not None:
+            self._colour.add(grey, frame)
+        slot = len(self._present) % self._slots
+        target = self._ring[slot, : self._pixels].reshape(self._shape)
+        if self._edge == "falling":
+            np.subtract(full, grey, out=target)
+        else:
+            np.copyto(target, grey)
+        self._accept(frame_index, slot)
+
+    def _check_channels(self, frame: NDArray[Any]) -> None:
+        if not self._present:
+            self._colour = ColourOfMaximum(self._shape, self._bit_depth) if frame.ndim == 3 else None
+        elif (frame.ndim == 3) != (self._colour is not None):
+            raise ValueError(f"the first frame was {'RGB' if self._colour else 'grey'}, this one is not")
+
+    def _accept(self, frame_index: int, slot: int) -> None:
+        self._present.append(frame_index)
+        if len(self._present) == 1:
+            self._first[:] = self._ring[slot]
+            start_state(self._first, self._state.reshape(-1))
+            return
+        self._pending += 1
+        if self._pending == BATCH:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Fold the frames that wait in the ring."""
+        if self._pending == 0:
+            return
+        ordinal = len(self._present) - self._pending
+        ring, state = self._ring.reshape(-1), self._state.reshape(-1)
+        fold_frames(ring, self._slots, ordinal % self._slots, self._pending, ordinal, state, self._log)
+        self._pending = 0
+
+    def result(
+        self,
+        *,
+        contrast: int,
+        median: int,
+        method: Literal["linear"] = "linear",
+        noise_counts: float,
+        read_columns: ReadColumns | None,
+    ) -> Maps:
+        """Maps of the frames folded so far; more can be added afterwards.
+
+        contrast and noise_counts in counts of 8 bit, at any depth; median: odd, or 0 for none.
+        read_columns gives the sequence of the pixels that the log no longer knows; with None they stay
+        NaN and are counted as unresolved. Raises ValueError before the first frame and for bad values,
+        ScanFileError where the file contradicts what was folded.
+        """
+        if method != "linear":
+            raise ValueError(f"the method is linear, not {method!r}")
+        if not self._present:
+            raise ValueError("nothing was folded yet")
+        self._flush()
+        samples = self._samples()
+        lowest, highest = samples.minimum.reshape(self._shape), samples.maximum.reshape(self._shape)
+        if self._edge == "falling":
+            full = full_scale(self._bit_depth)
+            lowest, highest = full - highest, full - lowest
+        folded = Folded(lowest, highest, samples, self.present, self._edge, self._bit_depth)
+        colour = self._colour.copy() if self._colour else self._grey_colour(highest)
+        return make_maps(folded, Choices(contrast, median, noise_counts), colour, read_columns)
+
+    def _plane(self, plane: int) -> NDArray[Any]:
+        return self._state[:, plane].copy().reshape(-1)[: self._pixels]
+
+    def _samples(self) -> Samples:
+        """Copies of the state, and what the log knows of the crossings; flat."""
+        size = len(self._first)
+        found = Found(
+            ordinal=np.empty(size, np.int32),
+            level=np.empty(size, np.uint16),
+            before=np.empty(size, np.uint16),
+            later_dip=np.empty(size, np.int32),
+            last_ordinal=np.empty(size, np.int32),
+        )
+        find_crossings(self._state.reshape(-1), self._log, found)
+        dip = self._plane(TAIL_DIP)
+        return Samples(
+            minimum=np.minimum(dip, self._plane(MINIMUM)),
+            maximum=self._plane(MAXIMUM),
+            first=self._first[: self._pixels],
+            ordinal=found.ordinal[: self._pixels],
+            level=found.level[: self._pixels],
+            before=found.before[: self._pixels],
+            later_dip=found.later_dip[: self._pixels],
+            last_ordinal=found.last_ordinal[: self._pixels],
+            tail_dip=dip,
+            tail_rise=self._plane(TAIL_RISE),
+        )
+
+    def _grey_colour(self, maximum: NDArray[Any]) -> NDArray[np.uint8]:
+        grey = (maximum >> (self._bit_depth - 8)).astype(np.uint8)
+        return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), dtype=np.uint8).reshape(*self._shape, 3)
+
+
+def warm_up() -> None:
+    """Compile or load every kernel now, so that the first frames of a sweep do not wait for it."""
+    for bit_depth in (8, 16):
+        for shape in ((2, 2), (2, 2, 3)):
+            fold = Fold((2, 2), bit_depth=bit_depth, edge="rising", frames_expected=BATCH + 1, records=2)
+            for index in range(BATCH + 1):
+                fold.add(index, np.full(shape, index, level_type(bit_depth)))
+            maps = fold.result(contrast=0, median=0, noise_counts=1.0, read_columns=None)
+            columns = np.zeros((BATCH + 1, 1), maps.maximum.dtype)
+            sample_columns(columns, empty_samples(1))

@@ -1,0 +1,113 @@
+"""Own the few vector operations of the fold: 64 pixels at a time, on whatever SIMD the processor has.
+
+They are written as LLVM vectors, because a compiler's loop vectoriser gives up on them without a word;
+LLVM lowers them to AVX-512, AVX2, SSE or NEON, and the result is the same integers everywhere.
+All take flat C-contiguous uint8 or uint16 arrays and element offsets; nothing is bounds-checked.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
+
+BLOCK = 64
+"""Pixels in one vector operation; one bit each in a uint64 mask."""
+
+_operation: Any = intrinsic
+"""numba's own annotation counts the typing context among the arguments."""
+
+_BIT = ir.IntType(1)
+_BYTE_POINTER = ir.IntType(8).as_pointer()
+
+
+def _require_levels(*arrays: Any) -> None:
+    for array in arrays:
+        flat = isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
+        if not flat or array.dtype not in (types.uint8, types.uint16):
+            raise TypingError("needs a flat contiguous uint8 or uint16 array")
+
+
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, offset: Any) -> Any:
+    """Pointer to the 64-pixel vector that starts at element `offset`."""
+    data = context.make_array(array_type)(context, builder, array).data
+    vector = ir.VectorType(ir.IntType(array_type.dtype.bitwidth), BLOCK)
+    return builder.bitcast(builder.gep(data, [offset]), vector.as_pointer())
+
+
+def _load(builder: Any, pointer: Any) -> Any:
+    return builder.load(pointer, align=1)
+
+
+@_operation
+def fold_block(typing_context: Any, frame: Any, frame_at: Any, state: Any, state_at: Any, plane: Any) -> Any:
+    """Fold 64 pixels into three planes that lie `plane` elements apart: maximum, tail dip, tail rise.
+
+    Bit i of the uint64 result: frame[frame_at + i] is a new maximum. The maximum itself is only read;
+    of such a pixel the caller sets all three (until then the dip is the one before the new maximum).
+    """
+    _require_levels(frame, state)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        maximum_at, stride = arguments[3], arguments[4]
+        dip_at = builder.add(maximum_at, stride)
+        values = _load(builder, _pointer(context, builder, kinds[0], arguments[0], arguments[1]))
+        maximum = _load(builder, _pointer(context, builder, kinds[2], arguments[2], maximum_at))
+        dip_pointer = _pointer(context, builder, kinds[2], arguments[2], dip_at)
+        rise_pointer = _pointer(context, builder, kinds[2], arguments[2], builder.add(dip_at, stride))
+        dip, rise = _load(builder, dip_pointer), _load(builder, rise_pointer)
+        dip = builder.select(builder.icmp_unsigned("<", values, dip), values, dip)
+        height = builder.sub(values, dip)
+        rise = builder.select(builder.icmp_unsigned(">", height, rise), height, rise)
+        builder.store(dip, dip_pointer, align=1)
+        builder.store(rise, rise_pointer, align=1)
+        return builder.bitcast(builder.icmp_unsigned(">", values, maximum), ir.IntType(64))
+
+    return types.uint64(frame, types.intp, state, types.intp, types.intp), generate
+
+
+@_operation
+def higher_than(typing_context: Any, frame: Any, frame_at: Any, bound: Any, bound_at: Any) -> Any:
+    """Bit i of the uint64 result: frame[frame_at + i] > bound[bound_at + i]."""
+    _require_levels(frame, bound)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kinds = signature.args
+        values = _load(builder, _pointer(context, builder, kinds[0], arguments[0], arguments[1]))
+        bounds = _load(builder, _pointer(context, builder, kinds[2], arguments[2], arguments[3]))
+        return builder.bitcast(builder.icmp_unsigned(">", values, bounds), ir.IntType(64))
+
+    return types.uint64(frame, types.intp, bound, types.intp), generate
+
+
+@_operation
+def lowest_bit(typing_context: Any, mask: Any) -> Any:
+    """Index of the lowest set bit of a uint64; 64 for zero."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(_BIT, 0))
+
+    return types.intp(types.uint64), generate
+
+
+@_operation
+def prefetch(typing_context: Any, array: Any, offset: Any) -> Any:
+    """Ask for the cache line of array[offset]; a hint without any effect on values."""
+    if not (isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"):
+        raise TypingError("needs a flat contiguous array")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        address = builder.bitcast(builder.gep(data, [arguments[1]]), _BYTE_POINTER)
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [_BYTE_POINTER, number, number, number])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(function, [address, number(1), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
