@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import socket
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
@@ -37,10 +38,20 @@ def client_run_dir(environ: Mapping[str, str] = os.environ) -> Path:
         xdg = environ.get("XDG_RUNTIME_DIR")
         candidates = ([Path(xdg) / "sweepscope"] if xdg else []) + [SYSTEM_RUN]
     for candidate in candidates:
-        if (candidate / "command.sock").is_socket():
+        if _answers(candidate / "command.sock"):
             return candidate
     places = " or ".join(str(candidate) for candidate in candidates)
     raise NoServiceError(f"no rig daemon answers in {places}: start one with 'sweepscope up' or set SWEEPSCOPE_RUN")
+
+
+def _answers(path: Path) -> bool:
+    """True if a process listens on the Unix socket; a file that its owner left behind does not count."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return False
+    return True
 
 
 def prepare_run_dir(path: Path) -> Path:

@@ -1,0 +1,133 @@
+"""What holds for every test: nothing is left behind, and what the tests need is there, at least where it must be."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+GRACE_S = 3.0
+"""What a test started may take so long to go away after the test's end."""
+
+_LASTING_THREADS = ("pymon", "asyncio_", "ThreadPoolExecutor", "numba", "playwright")
+
+
+def _threads() -> set[threading.Thread]:
+    alive = (thread for thread in threading.enumerate() if thread.is_alive())
+    return {thread for thread in alive if not thread.name.startswith(_LASTING_THREADS)}
+
+
+def _children() -> set[int]:
+    return {child.pid for child in psutil.Process().children(recursive=True) if child.status() != psutil.STATUS_ZOMBIE}
+
+
+def _sockets() -> set[str]:
+    found = set()
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            target = str(link.readlink())
+        except OSError:
+            continue
+        if target.startswith("socket:"):
+            found.add(target)
+    return found
+
+
+def _tasks() -> set[object]:
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:
+        return set()
+    return {task for task in asyncio.all_tasks(loop) if not task.done()}
+
+
+_KINDS: dict[str, Callable[[], set]] = {
+    "thread": _threads,
+    "process": _children,
+    "socket": _sockets,
+    "task": _tasks,
+}
+
+
+def _left_behind(before: dict[str, set]) -> dict[str, set]:
+    deadline = time.monotonic() + GRACE_S
+    while True:
+        left = {kind: count() - before[kind] for kind, count in _KINDS.items()}
+        left = {kind: things for kind, things in left.items() if things}
+        if not left or time.monotonic() > deadline:
+            return left
+        gc.collect()
+        threading.Event().wait(0.05)
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left_behind(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves a thread, process, socket or task; module-wide fixtures may mark ``shares_processes``."""
+    before = {kind: count() for kind, count in _KINDS.items()}
+    yield
+    if request.node.get_closest_marker("shares_processes"):
+        return
+    left = _left_behind(before)
+    if left:
+        pytest.fail(f"left behind: {left}")
+
+
+@pytest.fixture
+def run_dir() -> Iterator[Path]:
+    """A socket directory with a path that is short enough, private, and gone afterwards."""
+    import tempfile
+
+    path = Path(tempfile.mkdtemp(prefix="ss-"))
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+@pytest.fixture(autouse=True)
+def clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No stray configuration of the machine reaches a test."""
+    for name in list(os.environ):
+        if name.startswith("SWEEPSCOPE_") and name != "SWEEPSCOPE_TEST_DATA":
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")
+
+
+def need(what: str, present: bool) -> None:
+    """Skip where something is missing, with the reason; in CI its absence is a failure."""
+    if present:
+        return
+    if os.environ.get("CI"):
+        pytest.fail(f"{what} is missing, and CI must have it")
+    pytest.skip(f"{what} is missing")
+
+
+@pytest.fixture(scope="session")
+def real_scan() -> Path:
+    """The public scan of a frog, where it lies: $SWEEPSCOPE_TEST_DATA, or shared/data beside the repository."""
+    root = Path(os.environ.get("SWEEPSCOPE_TEST_DATA") or Path(__file__).parents[2] / "shared" / "data")
+    folder = root / "frog-v1-lr"
+    need(f"the real scan in {folder} (set SWEEPSCOPE_TEST_DATA)", folder.is_dir())
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tmux() -> str:
+    """The path of tmux."""
+    found = shutil.which("tmux")
+    need("tmux", found is not None)
+    return str(found)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """The path of a Chromium browser."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    need("chromium", found is not None)
+    return str(found)
