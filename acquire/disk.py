@@ -1,0 +1,154 @@
+"""The system calls that decide whether bytes are safe, and their failures as errors that people understand."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from acquire.contract.errors import ScanFileError
+from acquire.contract.units import format_bytes
+
+_NO_SPACE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+_NO_RESERVATION: Final = frozenset({errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL})
+_RENAME_NOREPLACE: Final = 1
+_AT_FDCWD: Final = -100
+_WAY_OUT: Final = "set storage.data_dir in rig.toml to another folder"
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class DiskError(ScanFileError):
+    """The file system refused to create, write or sync."""
+
+    nack_reason: Literal["no space", "io error"] = "io error"
+
+
+class DiskFullError(DiskError):
+    """No space is left for the scan (or its quota or size limit is reached)."""
+
+    nack_reason = "no space"
+
+
+def disk_error(error: OSError, path: Path, doing: str, needed_bytes: int = 0) -> DiskError:
+    """``error`` as one line that names the path, what was being done, and the way out.
+
+    ``needed_bytes`` stands beside the free space in the text of a full disk; 0 leaves it out.
+    """
+    if error.errno in _NO_SPACE:
+        needed = f"{format_bytes(needed_bytes)} needed, " if needed_bytes else ""
+        limit = "a size limit" if error.errno == errno.EFBIG else "a full disk"
+        return DiskFullError(
+            f"cannot {doing} {path}: {limit} ({needed}{free_in_words(path)} free); make room, or {_WAY_OUT}"
+        )
+    why = error.strerror or error
+    return DiskError(f"cannot {doing} {path}: {why}; mend the folder or its permissions, or {_WAY_OUT}")
+
+
+def free_bytes(path: Path) -> int | None:
+    """Bytes that a user may still write where ``path`` is or would be; None where nobody can tell."""
+    for place in (path, *path.parents):
+        try:
+            return shutil.disk_usage(place).free
+        except OSError:
+            continue
+    return None
+
+
+def free_in_words(path: Path) -> str:
+    """The free space where ``path`` is, for a message."""
+    free = free_bytes(path)
+    return "an unknown number of bytes" if free is None else format_bytes(free)
+
+
+def reserve(fd: int, size_bytes: int) -> bool:
+    """Reserve the space of the whole file with fallocate(2), never with glibc's emulation by writing.
+
+    Returns:
+        False where the file system cannot reserve: a full disk is then found only while writing.
+
+    Raises:
+        OSError: no space, or another failure of the disk.
+    """
+    # 64-bit offsets also on a 32-bit machine, where plain fallocate takes 32
+    call = getattr(_libc, "fallocate64", _libc.fallocate)
+    call.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
+    while call(fd, 0, 0, size_bytes) != 0:
+        number = ctypes.get_errno()
+        if number in _NO_RESERVATION:
+            return False
+        if number != errno.EINTR:
+            raise OSError(number, os.strerror(number))
+    return True
+
+
+def rename_new(source: Path, target: Path) -> None:
+    """Rename within a file system in one step; a target that exists is refused, never replaced.
+
+    Raises:
+        FileExistsError: there is a target already.
+        OSError: the disk refused.
+    """
+    call = getattr(_libc, "renameat2", None)
+    if call is not None:
+        if call(_AT_FDCWD, os.fsencode(source), _AT_FDCWD, os.fsencode(target), _RENAME_NOREPLACE) == 0:
+            return
+        number = ctypes.get_errno()
+        if number not in _NO_RESERVATION:
+            raise OSError(number, os.strerror(number), str(target))
+    # only where kernel or file system lack the call; the writer's lock keeps other writers out meanwhile
+    if target.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
+    source.rename(target)
+
+
+def sync_folder(folder: Path) -> None:
+    """fsync a folder, so that names made or changed in it survive a power cut."""
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
+    """Write all of ``data`` at ``offset``; the kernel may take it in several pieces."""
+    view = memoryview(data).cast("B")
+    while view:
+        written = os.pwrite(fd, view, offset)
+        view, offset = view[written:], offset + written
+
+
+@dataclass(frozen=True)
+class FileSystem:
+    """What a file system is called and what a reservation is worth on it."""
+
+    kind: str
+    promise: str
+
+
+_PROMISES: Final = {
+    "ext4": "reserved blocks cannot run out; fdatasync reaches the disk",
+    "xfs": "reserved blocks cannot run out; fdatasync reaches the disk",
+    "btrfs": "reserved once; snapshots and compression can still run out of space",
+    "tmpfs": "reserved in memory: survives no power cut",
+    "overlay": "as the file system below the overlay",
+    "vfat": "files up to 4 GB; rename is not safe in a power cut",
+    "exfat": "no journal: a power cut can damage the folder",
+}
+
+
+def file_system_of(path: Path) -> FileSystem:
+    """The file system that holds ``path``, from the kernel's table of mounts; ``unknown`` where it does not say."""
+    place, kind, longest = path.resolve(), "unknown", -1
+    for line in Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+        mount, _, rest = line.partition(" - ")
+        point = Path(mount.split()[4].replace("\\040", " "))
+        # the last of several mounts on one point is the one that is seen
+        if place.is_relative_to(point) and len(point.parts) >= longest:
+            kind, longest = rest.split()[0], len(point.parts)
+    return FileSystem(kind, _PROMISES.get(kind, "no promise is known for it"))
