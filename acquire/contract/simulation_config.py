@@ -39,7 +39,7 @@ class SimulationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Fine relief of bone and foil: how far shading normals lean, as a tangent; the geometry stays smooth."""
     ambient: Annotated[float, Meta(ge=0, le=1)] = 0.04
     """Room light on a white surface, relative to the lamp at normal incidence."""
-    board_ambient: Annotated[float, Meta(ge=0, le=1)] = 0.45
+    board_ambient: Annotated[float, Meta(ge=0, le=1)] = 0.35
     """The same while a checkerboard lies on the stage: its corners are found by room light."""
 
     read_noise_counts: Annotated[float, Meta(ge=0, le=50)] = 0.8

@@ -31,21 +31,22 @@ def _checks(
 ) -> float:
     """Share of white 0..1 at a point of the board, each edge softened over about a pixel."""
     u, v, w = to_local(form, x, y, z)
-    column, row = u / square_mm + columns / 2, v / square_mm + rows / 2
-    if column < 0 or column > columns or row < 0 or row > rows or w < -1e-3:
+    if w < -1e-3:
         return 1.0
     soft = BOARD_BLUR_SHARE * pixel_mm / square_mm
-    a = _square_wave(column, soft)
-    b = _square_wave(row, soft)
-    return 0.5 - 0.5 * a * b
+    column_wave, column_cover = _square_wave(u / square_mm + columns / 2, soft, columns)
+    row_wave, row_cover = _square_wave(v / square_mm + rows / 2, soft, rows)
+    return 1.0 - column_cover * row_cover * (0.5 + 0.5 * column_wave * row_wave)
 
 
 @kernel
-def _square_wave(at: float, soft: float) -> float:
-    """+1 in even cells, -1 in odd ones, linear over ``soft`` cells at each border."""
-    nearest = math.floor(at + 0.5)
+def _square_wave(at: float, soft: float, cells: int) -> tuple[float, float]:
+    """+1 in even cells, -1 in odd ones, and the share 0..1 that is within the pattern; linear over ``soft`` cells."""
+    nearest = min(max(math.floor(at + 0.5), 1.0), cells - 1.0)
     sign = 1.0 if int(nearest) % 2 == 0 else -1.0
-    return sign * min(max((at - nearest) / (0.5 * soft), -1.0), 1.0)
+    wave = sign * min(max((at - nearest) / (0.5 * soft), -1.0), 1.0)
+    cover = min(max(min(at, cells - at) / soft + 0.5, 0.0), 1.0)
+    return wave, cover
 
 
 @kernel

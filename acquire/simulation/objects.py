@@ -187,9 +187,9 @@ def _arch(u: float, v: float, w: float) -> float:
     spread = v / (1.0 + 0.16 * bow - 0.045 * bow * bow)
     along = min(u + 0.42, 0.0)
     ring = math.sqrt(along * along + spread * spread) - 0.48
-    thickness = 0.205 + 0.018 * min(max(u, -1.0), 2.0) ** 2
+    thickness = 0.205 + 0.012 * min(max(u, -1.0), 2.0) ** 2
     tube = _rounded(ring, w - 0.34 - 0.02 * u, thickness, 0.27, 0.19)
-    return max(tube, u - 1.76)
+    return max(tube, u - 1.72)
 
 
 @kernel
@@ -204,11 +204,9 @@ def _head(u: float, v: float, w: float) -> float:
 
 @kernel
 def _footplate(u: float, v: float, w: float) -> float:
-    """An upright oval plate, thinner in its middle."""
-    oval = _rounded(v, w - 0.37, 0.84, 0.37, 0.35)
-    dish = 0.12 + 0.06 * min(v * v, 1.0)
-    a, b = oval + 0.08, abs(u - 1.80) - dish + 0.08
-    return math.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2) + min(max(a, b), 0.0) - 0.08
+    """An upright oval plate."""
+    a, b = _rounded(v, w - 0.37, 0.86, 0.37, 0.27) + 0.11, abs(u - 1.80) - 0.06
+    return math.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2) + min(max(a, b), 0.0) - 0.11
 
 
 @kernel
