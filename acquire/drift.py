@@ -8,19 +8,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+LEAST_RESPONSE = 0.05
+"""Below this the phase correlation has no peak to speak of: the frames have no structure in common."""
+
 
 def measure_drift(first: NDArray[Any], repeated: NDArray[Any]) -> dict[str, float]:
-    """``drift_px`` (shift by phase correlation, pixels) and ``brightness_change`` (relative) between two frames.
+    """``brightness_change`` (relative), and ``drift_px`` (shift in pixels) where the frames show enough to tell.
 
     Args:
         first: [h, w] or [h, w, 3], any integer type.
         repeated: the same shape and type, taken at the same position after the sweep.
     """
     before, after = _grey(first), _grey(repeated)
-    (shift_x, shift_y), _response = cv2.phaseCorrelate(before, after)
     mean = float(before.mean())
-    change = (float(after.mean()) - mean) / mean if mean > 0 else 0.0
-    return {"drift_px": float(np.hypot(shift_x, shift_y)), "brightness_change": change}
+    found = {"brightness_change": (float(after.mean()) - mean) / mean if mean > 0 else 0.0}
+    if before.std() == 0 or after.std() == 0:
+        return found
+    window = cv2.createHanningWindow(before.shape[::-1], cv2.CV_32F)
+    (shift_x, shift_y), response = cv2.phaseCorrelate(before, after, window)
+    if response >= LEAST_RESPONSE:
+        found["drift_px"] = float(np.hypot(shift_x, shift_y))
+    return found
 
 
 def _grey(frame: NDArray[Any]) -> NDArray[np.float32]:

@@ -1,0 +1,172 @@
+"""A bench for the pure sweep: a stage, a camera and a writer that answer in zero time, with knobs for faults."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from acquire import actions as do
+from acquire.cameras.protocol import CameraFrame
+from acquire.contract.messages import AckItem, EndAck, FaultReport, FrameFormat, Image
+from acquire.contract.plan import SweepPlan
+from acquire.events import Committed, Sealed, SweepEvent, Tick, WriterReady
+from acquire.shooting import Shooting, SweepSettings
+from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
+from acquire.sweep import Phase, Sweep
+from acquire.window import Window
+
+MS = 1_000_000
+FORMAT = FrameFormat(width=5, height=4, bit_depth=8)
+
+
+def settings(count: int = 10, **changes: object) -> SweepSettings:
+    plan = SweepPlan(
+        first_steps=30, last_steps=30 + 3 * (count - 1), steps_per_frame=3, um_per_microstep=3.175, exposure_ms=10
+    )
+    known = {
+        "scan_uid": "u",
+        "plan": plan,
+        "format": FORMAT,
+        "run_up_steps": 10,
+        "period_ms": 0,
+        "frame_timeout_ns": 100 * MS,
+        "max_attempts": 3,
+        "writer_start_ns": 5000 * MS,
+        "seal_ns": 5000 * MS,
+        "motion_ns": 5000 * MS,
+        "check_limit": True,
+    }
+    return SweepSettings(**(known | changes))
+
+
+@dataclass
+class Bench:
+    """Carries out actions at once and feeds back what follows, until nothing follows any more."""
+
+    sweep: Sweep
+    now_ns: int = 1_000_000 * MS
+    lamp: bool = False
+    acking: bool = True
+    spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
+    """Returns ``lose``, ``shape`` or ``mute`` (no ack) for a shot."""
+    published: list[Image] = field(default_factory=list)
+    faults: list[FaultReport] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+    triggers: list[tuple[int, int]] = field(default_factory=list)
+    """(frame index, position) of every trigger that was fired."""
+    end: do.Finish | None = None
+    _events: deque[SweepEvent] = field(default_factory=deque)
+    _segment: Segment | None = None
+    _next_shot: int = 0
+    _granted: int = -1
+    _held: bool = False
+    _camera_id: int = 50
+    _tries: dict[int, int] = field(default_factory=dict)
+
+    def feed(self, event: SweepEvent) -> None:
+        """Give the sweep an event and all that follows from it."""
+        self._events.append(event)
+        while self._events:
+            for action in self.sweep.handle(self._events.popleft(), self.now_ns):
+                self._do(action)
+            self._shoot()
+
+    def tick(self, ms: float) -> None:
+        """Let time pass."""
+        self.now_ns += round(ms * MS)
+        self.feed(Tick())
+
+    def start(self) -> None:
+        """The writer is ready and the lamp is warm."""
+        self.sweep.start(self.now_ns)
+        self.feed(WriterReady(reserved=True, came_back=False))
+        self.tick(1)
+
+    def ack_all(self) -> None:
+        """The writer commits everything that waits."""
+        kept = list(self.sweep.window.kept.values())
+        new = [k.image.frame_index for k in kept if self.sweep.window.commit(_item(k.image))]
+        self.feed(Committed(tuple(new), len(self.sweep.window.committed)))
+
+    @property
+    def positions(self) -> list[int]:
+        return [position for _frame, position in self.triggers]
+
+    def _do(self, action: do.Action) -> None:
+        match action:
+            case do.SetLamp(on):
+                self.lamp = on
+            case do.Snap():
+                self._deliver(-1)
+            case do.BeginSegment(segment, through):
+                assert self._segment is None, "a segment was begun while another runs"
+                self._segment, self._next_shot, self._granted, self._held = segment, 0, through, False
+            case do.Grant(through):
+                self._granted = through
+            case do.HoldStage():
+                self._held = True
+                self._events.append(Held("requested", 0))
+            case do.ResumeStage():
+                self._held = False
+            case do.StopStage():
+                self._segment = None
+                self._events.append(Stopped(0, position_trusted=True))
+            case do.CheckLimit():
+                self._events.append(Moved(0, position_trusted=True, steps_lost=0))
+            case do.Publish(image, pixels):
+                self.published.append(image)
+                self.sweep.window.keep(image, pixels)
+                if self.acking:
+                    self.sweep.window.commit(_item(image))
+                    self._events.append(Committed((image.frame_index,), 0))
+            case do.Finish():
+                self.end = action
+                self._events.append(Sealed(EndAck(path="x", sealed=True, outcome=action.end.outcome, committed=0)))
+            case do.RaiseFault(fault):
+                self.faults.append(fault)
+            case do.Say(text):
+                self.said.append(text)
+
+    def _shoot(self) -> None:
+        segment = self._segment
+        if segment is None or self._held or self._events or self._next_shot > self._granted:
+            return
+        position = segment.first_steps + self._next_shot * segment.pitch_steps
+        plan = self.sweep.settings.plan
+        frame_index = (position - plan.first_steps) // plan.pitch_steps
+        self.triggers.append((frame_index, position))
+        self._events.append(Triggered(len(self.triggers), self._next_shot, position, at_mono_ns=self.now_ns))
+        self._deliver(frame_index)
+        self._next_shot += 1
+        if self._next_shot == segment.count:
+            self._segment = None
+            self._events.append(SegmentDone(position))
+
+    def _deliver(self, frame_index: int) -> None:
+        attempt = self._tries.get(frame_index, 0)
+        self._tries[frame_index] = attempt + 1
+        how = self.spoil(frame_index, attempt)
+        if how == "missed":
+            return
+        self._camera_id += 1
+        if how == "lose":
+            return
+        shape = (4, 4) if how == "shape" else (4, 5)
+        self._events.append(CameraFrame(np.full(shape, self.lamp, np.uint8), self._camera_id, self.now_ns))
+
+
+def _item(image: Image) -> AckItem:
+    return AckItem(image.frame_index, image.attempt, image.crc32, image.role)
+
+
+def bench(count: int = 10, slots: int = 100, **changes: object) -> Bench:
+    """A bench with a fresh sweep."""
+    return Bench(Sweep(Shooting(settings(count, **changes), Window(slots))))
+
+
+def done(on: Bench) -> bool:
+    """The sweep has come to its end."""
+    return on.sweep.phase is Phase.DONE

@@ -1,0 +1,181 @@
+"""The sweep's course, its retakes, its holds and its ends, without any device."""
+
+from __future__ import annotations
+
+import pytest
+
+from acquire.contract.messages import Nack
+from acquire.contract.states import HoldReason, Outcome, State
+from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, WriterReady
+from acquire.stages.protocol import Alarm, Triggered
+
+from .sweep_bench import bench, done
+
+
+def test_an_undisturbed_sweep_takes_each_frame_once_at_its_place():
+    on = bench(10)
+    on.start()
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+    assert on.positions == [30 + 3 * k for k in range(10)] + [30]
+    assert [image.frame_index for image in on.published if image.role == "sweep"] == list(range(10))
+    assert on.end is not None and on.end.end.missing == [] and on.faults == []
+
+
+def test_the_ambient_frame_is_taken_with_the_lamp_off_and_frame_0_repeated_at_the_end():
+    on = bench(3)
+    on.start()
+    assert [image.role for image in on.published] == ["ambient", "sweep", "sweep", "sweep", "repeat"]
+    assert on.lamp
+    assert on.sweep.checks["brightness_change"] == 0
+    assert on.sweep.checks["steps_lost"] == 0
+
+
+def test_nothing_moves_before_the_writer_is_ready():
+    on = bench()
+    on.sweep.start(on.now_ns)
+    on.tick(4999)
+    assert on.triggers == [] and on.sweep.state is State.ARMED
+
+
+def test_without_a_writer_the_sweep_is_refused_in_time_and_says_so():
+    on = bench()
+    on.sweep.start(on.now_ns)
+    on.tick(5000)
+    assert done(on) and on.sweep.outcome is Outcome.FAILED
+    assert [fault.code for fault in on.faults] == ["F05"] and on.triggers == []
+
+
+def test_a_full_disk_is_found_before_anything_moves():
+    on = bench()
+    on.sweep.start(on.now_ns)
+    on.feed(Refused(Nack(reason="no space", detail="needed 1 GB")))
+    assert done(on) and [fault.code for fault in on.faults] == ["F06"] and on.triggers == []
+
+
+@pytest.mark.parametrize("how", ["lose", "shape", "missed"])
+def test_a_frame_that_did_not_come_right_is_taken_again_at_the_same_place(how):
+    on = bench(10)
+    on.spoil = lambda frame_index, attempt: how if (frame_index, attempt) == (4, 0) else ""
+    on.start()
+    on.tick(200)
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+    taken = [(image.frame_index, image.attempt) for image in on.published if image.role == "sweep"]
+    assert taken == [(k, 1 if k == 4 else 0) for k in range(10)]
+    assert on.positions.count(42) == 2
+    assert on.end is not None and on.end.end.retaken == [(4, 4)]
+
+
+def test_a_frame_that_is_lost_too_often_ends_the_sweep_as_failed_and_names_what_is_missing():
+    on = bench(10)
+    on.spoil = lambda frame_index, attempt: "missed" if frame_index == 4 else ""
+    on.start()
+    for _ in range(5):
+        on.tick(200)
+    assert done(on) and on.sweep.outcome is Outcome.FAILED
+    assert on.end is not None and on.end.end.missing == [(4, 9)]
+    assert [fault.code for fault in on.faults] == ["F16"]
+
+
+def test_no_credit_no_trigger_and_the_sweep_resumes_when_half_the_window_is_free():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    assert [frame for frame, _ in on.triggers] == [0, 1, 2, 3]
+    assert on.sweep.state is State.HOLDING and on.sweep.hold_reason is HoldReason.NO_CREDIT
+    on.sweep.window.commit(_first_kept(on))
+    on.tick(1)
+    assert len(on.triggers) == 4
+    on.ack_all()
+    assert [frame for frame, _ in on.triggers][4:8] == [4, 5, 6, 7]
+
+
+def test_a_hold_for_want_of_credit_is_not_taken_for_a_dead_stage():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.tick(60_000)
+    assert not done(on) and on.faults == []
+    for _ in range(8):
+        on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+
+
+def test_a_paused_sweep_goes_on_where_it_was():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(PauseRequested())
+    assert on.sweep.hold_reason is HoldReason.PAUSED
+    on.ack_all()
+    on.tick(600_000)
+    assert len(on.triggers) == 4
+    on.acking = True
+    on.feed(ResumeRequested())
+    on.tick(1)
+    assert done(on) and [frame for frame, _ in on.triggers] == [*range(20), 0]
+
+
+def test_a_stopped_sweep_keeps_what_was_taken_and_names_the_rest():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(StopRequested())
+    assert not done(on)
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.STOPPED
+    assert on.end is not None and on.end.end.missing == [(4, 19)] and on.end.end.sent == 4
+
+
+def test_a_stop_while_paused_ends_the_sweep():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(PauseRequested())
+    on.feed(StopRequested())
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.STOPPED
+
+
+def test_an_alarm_of_the_stage_closes_the_sweep_as_aborted():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(Alarm("F23", "limit switch", 33, position_trusted=False))
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.ABORTED and on.faults[0].code == "F23"
+
+
+def test_a_trigger_at_another_place_than_planned_is_never_taken_for_right():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(Triggered(99, 4, 999))
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.FAILED
+    assert on.end is not None and on.end.end.missing == [(4, 19)]
+
+
+def test_a_stage_that_falls_silent_is_a_fault_and_not_an_endless_wait():
+    on = bench(20)
+    on.sweep.start(on.now_ns)
+    on._shoot = lambda: None
+    on.feed(WriterReady(reserved=True, came_back=False))
+    on.tick(1)
+    on.tick(5001)
+    assert on.faults[0].code == "F12" and on.sweep.outcome is Outcome.ABORTED
+
+
+def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
+    on = bench(3)
+    on.acking = False
+    on.start()
+    on.tick(5001)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
+    assert on.faults[-1].code == "F03"
+
+
+def _first_kept(on):
+    from acquire.contract.messages import AckItem
+
+    kept = min((k for k in on.sweep.window.kept.values() if k.image.role == "sweep"), key=lambda k: k.image.frame_index)
+    return AckItem(kept.image.frame_index, 0, kept.image.crc32)
