@@ -186,7 +186,8 @@ def _write_entry(file: h5py.File, recipe: ScanRecipe) -> None:
         _set(_fixed_bytes(entry, name, text), sha256=hashlib.sha256(text).hexdigest())
     entry.create_dataset("bit_depth", data=np.uint8(recipe.format.bit_depth))
     _fixed_bytes(entry, "pixel_format", recipe.format.pixel_format.encode())
-    _write_checks(entry, recipe)
+    if recipe.plan is not None:
+        _write_checks(entry, recipe)
     _write_data(entry, recipe)
 
 

@@ -1,0 +1,230 @@
+"""Turns a folder of pictures into a sealed scan file; a folder that is not one series of frames is refused by name."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections import deque
+from collections.abc import Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import msgspec
+import numpy as np
+from natsort import natsorted
+from numpy.typing import NDArray
+
+from acquire.contract.clocks import utc_now_iso
+from acquire.contract.errors import ScanFileError
+from acquire.contract.messages import MAX_SIDE_PX, FrameFormat, Image, Purpose
+from acquire.contract.outcome import frame_crc32
+from acquire.contract.plan import MAX_FRAMES
+from acquire.contract.states import Outcome
+
+from .scan_create import ScanRecipe, create_file
+from .scan_file import ScanExistsError, ScanFile
+
+SUFFIXES: Final = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
+_FLAGS: Final = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+_DECODERS: Final = 2
+_AHEAD: Final = 4
+"""Frames in memory at a time."""
+
+
+class ImportSummary(msgspec.Struct, frozen=True):
+    """What was imported."""
+
+    path: str
+    """The scan file."""
+    frames: int
+    format: FrameFormat
+    first_frame: str
+    """Name of the picture that became frame 0."""
+    last_frame: str
+    digest: str
+    """sha256 over the checksums of all frames."""
+
+    def words(self) -> str:
+        """One line for people."""
+        shape = f"{self.format.width} x {self.format.height} {self.format.pixel_format}, {self.format.bit_depth} bit"
+        return f"{self.path}: {self.frames} frames of {shape}, from {self.first_frame} to {self.last_frame}"
+
+
+def import_folder(
+    frames_dir: Path, target: Path, *, force: bool = False, purpose: Purpose = "raw", name: str = ""
+) -> ImportSummary:
+    """Write the pictures of ``frames_dir``, in natural order of their names, as the sealed scan ``target``.
+
+    Depth and channels are kept; colour is stored as RGB. One frame is written at a time, so memory is bounded.
+
+    Args:
+        frames_dir: a folder with png, bmp, jpg or tif.
+        target: the .h5 to make; it appears when it is whole.
+        force: replace a target that is there.
+        purpose: ``object`` and ``calibration`` scans need what ``raw`` ones do not.
+        name: of the scan; the folder's by default.
+
+    Raises:
+        ScanFileError: no pictures, one that cannot be read or differs from the first (named), or a target in the way.
+        DiskError: the disk refused.
+    """
+    pictures = list_pictures(frames_dir)
+    _check_target(target, force=force)
+    first = read_picture(pictures[0])
+    recipe = ScanRecipe(
+        scan_uid=uuid.uuid4().hex,
+        format=format_of(first, pictures[0]),
+        count=len(pictures),
+        user_json=json.dumps(
+            {
+                "name": name or frames_dir.resolve().name,
+                "notes": f"imported from {frames_dir.resolve()}",
+                "purpose": purpose,
+            }
+        ),
+        start_time_utc=utc_now_iso(),
+    )
+    with _new_scan(target, recipe, force=force) as scan, closing(_decoded(pictures)) as frames:
+        for frame_index, pixels in enumerate(frames):
+            scan.write_frame(_header(frame_index, pixels, recipe.format, pictures[frame_index], pictures[0]), pixels)
+        seal = scan.seal(Outcome.COMPLETE, "imported")
+    return ImportSummary(
+        path=str(seal.path),
+        frames=seal.committed,
+        format=recipe.format,
+        first_frame=pictures[0].name,
+        last_frame=pictures[-1].name,
+        digest=seal.digest,
+    )
+
+
+def list_pictures(folder: Path) -> list[Path]:
+    """The pictures in ``folder`` in natural order of their names (2 before 10); hidden files are left out.
+
+    Raises:
+        ScanFileError: there is no such folder, or nothing in it is a picture.
+    """
+    try:
+        names = [entry.name for entry in os.scandir(folder) if entry.is_file() and not entry.name.startswith(".")]
+    except OSError as error:
+        raise ScanFileError(f"{folder} cannot be read: {error.strerror}; give the folder of the frames") from None
+    pictures = natsorted(found for found in names if Path(found).suffix.lower() in SUFFIXES)
+    if not pictures:
+        raise ScanFileError(f"{folder} holds no pictures (png, bmp, jpg or tif): give the folder of the frames")
+    if len(pictures) > MAX_FRAMES:
+        raise ScanFileError(f"{folder} holds {len(pictures)} pictures, more than the {MAX_FRAMES} that a scan can have")
+    return [folder / found for found in pictures]
+
+
+def read_picture(path: Path) -> NDArray[Any]:
+    """Pixels of one picture as stored in scans: uint8 or uint16, [h, w] or [h, w, 3] RGB, C-contiguous.
+
+    Raises:
+        ScanFileError: it is no picture, damaged, or of another type; its name is in the text.
+    """
+    try:
+        raw = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise ScanFileError(f"{path} cannot be read: {error.strerror}") from None
+    pixels = _decode(raw)
+    if pixels is None:
+        raise ScanFileError(f"{path} is no readable picture: replace it, or take it out of the folder")
+    if path.suffix.lower() in (".tif", ".tiff") and cv2.imcount(str(path)) > 1:
+        raise ScanFileError(f"{path} holds several pictures: split it into one file per frame first")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise ScanFileError(f"{path} holds {pixels.dtype} values: scans have 8 or 16 bits, unsigned")
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    return np.ascontiguousarray(pixels)
+
+
+def _decode(raw: NDArray[np.uint8]) -> NDArray[Any] | None:
+    if raw.size == 0:
+        return None
+    level = cv2.utils.logging.getLogLevel()
+    # what OpenCV would print about a damaged picture is said in one line by our error
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.imdecode(raw, _FLAGS)
+    except cv2.error:
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def format_of(pixels: NDArray[Any], path: Path) -> FrameFormat:
+    """The format of a scan whose first frame is ``pixels``, [h, w] or [h, w, 3].
+
+    Raises:
+        ScanFileError: too large.
+    """
+    height, width = pixels.shape[:2]
+    if max(height, width) > MAX_SIDE_PX:
+        raise ScanFileError(f"{path} is {width} x {height}: at most {MAX_SIDE_PX} pixels a side are possible")
+    bit_depth = 8 if pixels.dtype == np.uint8 else 16
+    return FrameFormat(width, height, bit_depth, "rgb" if pixels.ndim == 3 else "mono")
+
+
+def _check_target(target: Path, *, force: bool) -> None:
+    if target.is_dir() or target.suffix.lower() not in (".h5", ".hdf5", ".nxs"):
+        raise ScanFileError(f"{target} is no name for a scan file: give the .h5 to make, such as {target.name}.h5")
+    if target.exists() and not force:
+        raise ScanExistsError(f"{target} exists already: --force replaces it")
+    if not target.parent.is_dir():
+        raise ScanFileError(f"the folder {target.parent} does not exist: make it first")
+
+
+@contextmanager
+def _new_scan(target: Path, recipe: ScanRecipe, *, force: bool) -> Iterator[ScanFile]:
+    """A scan under its temporary name beside ``target``; what was not sealed is removed."""
+    creating, reserved = create_file(target.parent, recipe)
+    scan = ScanFile(creating, sealed_path=target, reserved=reserved, replace=force)
+    try:
+        yield scan
+    finally:
+        scan.close()
+        if not scan.sealed:
+            creating.unlink(missing_ok=True)
+
+
+def _decoded(pictures: list[Path]) -> Generator[NDArray[Any], None, None]:
+    """Pictures in order, a few decoded ahead."""
+    with ThreadPoolExecutor(_DECODERS, thread_name_prefix="decode") as pool:
+        ahead: deque[Future[NDArray[Any]]] = deque()
+        try:
+            for path in pictures:
+                ahead.append(pool.submit(read_picture, path))
+                if len(ahead) >= _AHEAD:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            for future in ahead:
+                future.cancel()
+
+
+def _header(frame_index: int, pixels: NDArray[Any], wanted: FrameFormat, path: Path, first: Path) -> Image:
+    """The header of an imported frame: nothing is known of it but its pixels."""
+    if pixels.shape != wanted.shape or pixels.dtype != np.dtype(wanted.dtype):
+        raise ScanFileError(
+            f"{path} is {_describe(pixels.shape, str(pixels.dtype))}, "
+            f"but {first.name} is {_describe(wanted.shape, str(np.dtype(wanted.dtype)))}: all frames must be alike"
+        )
+    return Image(
+        frame_index=frame_index,
+        position_steps=-1,
+        position_um=float("nan"),
+        shape=list(wanted.shape),
+        dtype="|u1" if wanted.bit_depth == 8 else "<u2",
+        bit_depth=wanted.bit_depth,
+        pixel_format=wanted.pixel_format,
+        crc32=frame_crc32(pixels),
+    )
+
+
+def _describe(shape: tuple[int, ...], kind: str) -> str:
+    return f"{shape[1]} x {shape[0]} {'colour' if len(shape) == 3 else 'grey'} {kind}"
