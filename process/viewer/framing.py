@@ -1,0 +1,121 @@
+"""Owns where browsers look from: the whole object at first sight, and never moved once somebody moved it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from acquire.contract.clocks import Clock, MonotonicClock
+
+from .tiles import Bounds
+
+FOV_RAD = math.radians(40)
+DIRECTION = np.array([0.35, -0.8, 0.65]) / np.linalg.norm([0.35, -0.8, 0.65])
+"""From the object to the eye: from in front, above, a little aside."""
+MARGIN = 1.02
+GROWTH = 1.15
+"""Views follow a growing cloud in steps of this factor."""
+ECHO_NS = 1_500_000_000
+"""A camera that a browser reports so soon after we set it may be our own setting coming back."""
+TOUCHED = 0.01
+"""A pose that differs by more than this part of the viewing distance was chosen by a person."""
+DEFAULT_BOUNDS = Bounds((-6.0, -6.0, 0.0), (6.0, 6.0, 4.0))
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Eye and target in mm."""
+
+    eye: NDArray[np.float64]
+    target: NDArray[np.float64]
+
+    @property
+    def distance_mm(self) -> float:
+        """From the eye to the target."""
+        return float(np.linalg.norm(self.eye - self.target))
+
+    def differs(self, other: Pose) -> bool:
+        """True if somebody moved from one to the other on purpose."""
+        shift = max(float(np.linalg.norm(self.eye - other.eye)), float(np.linalg.norm(self.target - other.target)))
+        return shift > TOUCHED * other.distance_mm
+
+
+def overview(bounds: Bounds) -> Pose:
+    """A pose from which the whole box is seen."""
+    distance = MARGIN * max(bounds.radius_mm, 1e-3) / math.sin(FOV_RAD / 2)
+    return Pose(bounds.centre + distance * DIRECTION, bounds.centre)
+
+
+@dataclass
+class _Viewer:
+    set_to: Pose
+    set_ns: int
+    follows: bool = True
+
+
+class Framing:
+    """One camera per browser; follows the growing cloud until its person takes over."""
+
+    def __init__(self, server: viser.ViserServer, clock: Clock | None = None) -> None:
+        self._server = server
+        self._clock = clock or MonotonicClock()
+        self._bounds = DEFAULT_BOUNDS
+        self._viewers: dict[int, _Viewer] = {}
+        self._set_initial(overview(self._bounds))
+        server.on_client_connect(self._joined)
+        server.on_client_disconnect(self._left)
+
+    def follow(self, bounds: Bounds | None) -> None:
+        """Show ``bounds`` to new browsers, and to those whose person has not moved the camera."""
+        if bounds is None or not self._outgrown(bounds):
+            return
+        self._bounds = bounds
+        self._set_initial(overview(bounds))
+        for client_id, client in self._server.get_clients().items():
+            viewer = self._viewers.get(client_id)
+            if viewer is not None and viewer.follows:
+                self._set(client, viewer)
+
+    def fit(self, client: viser.ClientHandle) -> None:
+        """Bring one browser back to the overview, and let it follow again."""
+        viewer = self._viewers.setdefault(client.client_id, _Viewer(overview(self._bounds), 0))
+        viewer.follows = True
+        self._set(client, viewer)
+
+    def _outgrown(self, bounds: Bounds) -> bool:
+        old = self._bounds
+        moved = float(np.linalg.norm(bounds.centre - old.centre)) > (GROWTH - 1) * old.radius_mm
+        return moved or not old.radius_mm / GROWTH < bounds.radius_mm < old.radius_mm * GROWTH
+
+    def _set_initial(self, pose: Pose) -> None:
+        camera = self._server.initial_camera
+        camera.position, camera.look_at, camera.fov = pose.eye, pose.target, FOV_RAD
+        camera.near, camera.far = pose.distance_mm / 200, pose.distance_mm * 50
+
+    def _set(self, client: viser.ClientHandle, viewer: _Viewer) -> None:
+        pose = overview(self._bounds)
+        viewer.set_to, viewer.set_ns = pose, self._clock.now_ns()
+        with contextlib.suppress(RuntimeError, AssertionError), client.atomic():
+            client.camera.near, client.camera.far = pose.distance_mm / 200, pose.distance_mm * 50
+            client.camera.position = pose.eye
+            client.camera.look_at = pose.target
+
+    async def _joined(self, client: viser.ClientHandle) -> None:
+        self._viewers[client.client_id] = _Viewer(overview(self._bounds), self._clock.now_ns())
+
+        @client.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            self._moved(client.client_id, Pose(np.asarray(camera.position), np.asarray(camera.look_at)))
+
+    async def _left(self, client: viser.ClientHandle) -> None:
+        self._viewers.pop(client.client_id, None)
+
+    def _moved(self, client_id: int, pose: Pose) -> None:
+        viewer = self._viewers.get(client_id)
+        if viewer is not None and self._clock.now_ns() - viewer.set_ns > ECHO_NS and pose.differs(viewer.set_to):
+            viewer.follows = False

@@ -1,0 +1,146 @@
+"""Owns the picture: the cloud, the floor with its millimetres, the sheet of light, and where browsers look from."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from acquire.contract.calibration import Calibration, parse_calibration
+from acquire.contract.clocks import Clock
+from acquire.contract.errors import SweepscopeError
+from acquire.contract.messages import Status
+from acquire.contract.scan_reader import read_layout
+from acquire.contract.units import NS_PER_S
+
+from .cloud import Cloud
+from .feed import Snapshot, TileNews
+from .framing import DEFAULT_BOUNDS, Framing
+from .markup import Picture
+from .sketch import field_of_view, light_at, sheet
+from .tiles import Bounds
+
+LIGHT_RGB = (255, 236, 170)
+LIGHT_OPACITY = 0.16
+LOOK_AGAIN_NS = 2 * NS_PER_S
+"""A scan file may not be there yet when its path is announced."""
+LOOKS = 5
+
+
+class Scene:
+    """Brings news into the picture, in turns that a browser can digest."""
+
+    def __init__(self, server: viser.ViserServer, max_points: int, clock: Clock) -> None:
+        self._server = server
+        self._clock = clock
+        self.cloud = Cloud(server, max_points)
+        self.framing = Framing(server, clock)
+        self._book = CalibrationBook(clock)
+        self._field: Bounds | None = None
+        self._light: viser.MeshHandle | None = None
+        self._light_at: tuple[object, ...] = ()
+        self._floor_of: tuple[float, float, float, float] | None = None
+
+    def show(self, snapshot: Snapshot, news: TileNews) -> None:
+        """One turn: take what changed, send a digestible part of it, move light and floor along."""
+        self.cloud.take(news)
+        self.cloud.draw()
+        calibration = self._book.of(snapshot.status)
+        self._field = field_of_view(calibration.camera) if calibration is not None else None
+        bounds = self.cloud.bounds() or self._field
+        self.framing.follow(bounds)
+        self._show_floor(bounds or DEFAULT_BOUNDS)
+        self._show_light(snapshot, calibration, bounds or DEFAULT_BOUNDS)
+
+    def _show_floor(self, bounds: Bounds) -> None:
+        cell_mm = nice_length_mm(bounds.radius_mm / 8)
+        section_mm = cell_mm * 5
+        span_mm = section_mm * 2 * math.ceil(1.4 * bounds.radius_mm / section_mm)
+        centre = np.round(bounds.centre / section_mm) * section_mm
+        wanted = (cell_mm, span_mm, float(centre[0]), float(centre[1]))
+        if wanted == self._floor_of:
+            return
+        self._floor_of = wanted
+        self._server.scene.add_grid(
+            "/floor",
+            width=span_mm,
+            height=span_mm,
+            cell_size=cell_mm,
+            section_size=section_mm,
+            cell_color=(38, 45, 56),
+            section_color=(62, 74, 92),
+            position=(wanted[2], wanted[3], 0.0),
+            fade_distance=span_mm * 4,
+        )
+
+    @property
+    def picture(self) -> Picture:
+        """What the legend has to say."""
+        return Picture(self.cloud.keep_one_of, self._floor_of[0] if self._floor_of is not None else 0.0)
+
+    def _show_light(self, snapshot: Snapshot, calibration: Calibration | None, bounds: Bounds) -> None:
+        status = snapshot.status
+        at = (status.position_um, id(calibration), bounds, snapshot.daemon.connected) if status is not None else ()
+        if at == self._light_at:
+            return
+        self._light_at = at
+        plane = None
+        if status is not None and calibration is not None and snapshot.daemon.connected:
+            plane = light_at(calibration, status.plan, status.position_steps, status.position_um)
+        corners = sheet(*plane, bounds) if plane is not None else None
+        if corners is None:
+            if self._light is not None:
+                self._light.remove()
+                self._light = None
+            return
+        self._light = self._server.scene.add_mesh_simple(
+            "/light",
+            vertices=corners.astype(np.float32),
+            faces=np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+            color=LIGHT_RGB,
+            opacity=LIGHT_OPACITY,
+            side="double",
+            material="standard",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+
+class CalibrationBook:
+    """The calibration that the shown scan keeps in its file; looked up once per scan, a few times if not yet there."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._path = ""
+        self._found: Calibration | None = None
+        self._looks_left = 0
+        self._next_ns = 0
+
+    def of(self, status: Status | None) -> Calibration | None:
+        """The calibration of the status's scan; None where there is none or it cannot be read."""
+        if status is None or not status.scan_path:
+            return self._found
+        now_ns = self._clock.now_ns()
+        if status.scan_path != self._path:
+            self._path, self._found, self._looks_left, self._next_ns = status.scan_path, None, LOOKS, now_ns
+        if self._found is None and self._looks_left and now_ns >= self._next_ns:
+            self._looks_left -= 1
+            self._next_ns = now_ns + LOOK_AGAIN_NS
+            self._found = _read_calibration(Path(self._path))
+        return self._found
+
+
+def _read_calibration(scan: Path) -> Calibration | None:
+    try:
+        text = read_layout(scan).verbatim["calibration"]
+        return parse_calibration(text.decode()) if text.strip() else None
+    except (SweepscopeError, OSError, UnicodeDecodeError):
+        return None  # only the drawing of the light needs it; the worker is the one who refuses
+
+
+def nice_length_mm(length_mm: float) -> float:
+    """1, 2 or 5 times a power of ten, not below ``length_mm``."""
+    power = 10.0 ** math.floor(math.log10(max(length_mm, 1e-6)))
+    return next(float(step * power) for step in (1, 2, 5, 10) if step * power >= length_mm * 0.999)

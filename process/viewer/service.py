@@ -1,0 +1,149 @@
+"""Owns the viewer process: lock, page, feed and commands; puts news on the page in turns until it is told to end."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+
+from acquire.contract.clocks import MonotonicClock
+from acquire.contract.config import LoadedConfig
+from acquire.contract.places import lock_service, prepare_run_dir
+
+from .commands import CommandLine
+from .door import Page, close_page, listen, open_page
+from .feed import Feed
+from .guard import Gate
+from .panel import Controls, Panel, ViewSettings
+from .scene import Scene
+
+TURN_S = 0.1
+"""Least time between two turns: ten updates a second are plenty for eyes and what a software renderer digests."""
+BEAT_S = 0.5
+"""Longest time between two turns, for the clock and the ages on the page."""
+URL_FILE = "viewer.url"
+
+
+def run_viewer(
+    config: LoadedConfig, run_dir: Path, *, port: int | None = None, on_ready: Callable[[str], None] | None = None
+) -> None:
+    """Serve the page until SIGTERM or SIGINT.
+
+    Args:
+        config: host, port and budget of points (``[viewer]``), time-out of commands (``limits.command_s``).
+        run_dir: directory of the sockets; ``viewer.lock`` and ``viewer.url`` are made in it.
+        port: instead of ``viewer.port``; 0 takes any free one.
+        on_ready: called with the page's address once it is served.
+
+    Raises:
+        AlreadyRunningError: another viewer holds the lock.
+        ConfigError: the port is taken, or the run directory cannot be used.
+        GuardError: the page would be open to strangers.
+    """
+    stop = threading.Event()
+    wake = threading.Event()
+    lock = lock_service(prepare_run_dir(run_dir), "viewer")
+    try:
+        with _ending_on_signals(stop, wake), Viewer(config, run_dir, wake, port=port) as viewer:
+            announce(viewer.url, run_dir)
+            if on_ready is not None:
+                on_ready(viewer.url)
+            viewer.run(stop)
+    finally:
+        (run_dir / URL_FILE).unlink(missing_ok=True)
+        lock.release()
+
+
+class Viewer:
+    """The page with everything behind it; a context manager that leaves no thread."""
+
+    def __init__(self, config: LoadedConfig, run_dir: Path, wake: threading.Event, *, port: int | None = None) -> None:
+        settings = config.rig.viewer
+        self._clock = MonotonicClock()
+        self._wake = wake
+        self._gate = Gate(settings.host)
+        listener = listen(settings.host, settings.port if port is None else port)
+        self._page: Page = open_page(self._gate, listener)
+        self.url = address(self._gate, self._page.get_port())
+        view_only = self._gate.view_only
+        self._panel = Panel(self._page, view_only=view_only)
+        self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
+        self._controls = Controls(self._page, self._commands) if self._commands is not None else None
+        self._scene = Scene(self._page, settings.max_points, self._clock)
+        if not view_only:
+            ViewSettings(self._page, self._scene)
+        self._feed = Feed(run_dir, wake, self._clock)
+
+    def __enter__(self) -> Viewer:
+        self._turn()
+        self._feed.start()
+        if self._commands is not None:
+            self._commands.start()
+        self._gate.arm()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._feed.close()
+        if self._commands is not None:
+            self._commands.close()
+        close_page(self._page)
+
+    def run(self, stop: threading.Event) -> None:
+        """Put news on the page until ``stop`` is set (and ``wake`` with it)."""
+        while not stop.is_set():
+            self._wake.wait(BEAT_S)
+            self._wake.clear()
+            self._turn()
+            stop.wait(TURN_S)
+
+    def _turn(self) -> None:
+        now_ns = self._clock.now_ns()
+        news, snapshot = self._feed.take_tiles(), self._feed.snapshot()
+        self._scene.show(snapshot, news)
+        if self._scene.cloud.pending:
+            self._wake.set()
+        self._panel.show(snapshot, now_ns, self._scene.picture)
+        if self._controls is not None:
+            self._controls.show(snapshot, now_ns)
+
+
+def address(gate: Gate, port: int) -> str:
+    """The address with the token, as it is printed."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(gate.bound_host, gate.bound_host)  # noqa: S104
+    if ":" in host and not host.startswith("["):
+        host = f"[{host}]"
+    return f"http://{host}:{port}/?token={gate.token}"
+
+
+def announce(url: str, run_dir: Path) -> None:
+    """Print the address on a line of its own, and leave it in ``viewer.url``, which only this user can read."""
+    target = run_dir / URL_FILE
+    temporary = run_dir / f"{URL_FILE}.new"
+    temporary.unlink(missing_ok=True)
+    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        file.write(f"{url}\n")
+    temporary.replace(target)
+    print(url, flush=True)
+
+
+@contextlib.contextmanager
+def _ending_on_signals(stop: threading.Event, wake: threading.Event) -> Iterator[None]:
+    """SIGTERM and SIGINT set ``stop``; elsewhere than in the main thread signals are somebody else's."""
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+        wake.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
