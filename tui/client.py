@@ -64,7 +64,7 @@ class RigClient:
         """Close the sockets; what was not sent is dropped."""
         self._context.destroy(linger=0)
 
-    def request(self, name: str, **args: Any) -> Reply:
+    def request(self, name: str, /, **args: Any) -> Reply:
         """Ask the daemon and wait for its reply; sent once more with the same id when half the time has passed.
 
         Raises:

@@ -5,11 +5,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE
 from tui.commands.context import json_option, print_json
+
+if TYPE_CHECKING:
+    from process.reconstruct import Summary
 
 _SCAN = click.argument("scan", type=click.Path(path_type=Path))
 
@@ -41,12 +45,38 @@ def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
 @json_option
 def reconstruct(scan: Path, as_json: bool, **options: object) -> int:
     """Turn a scan into maps and a coloured point cloud."""
-    from process.reconstruct import ReconstructOptions
     from process.reconstruct import reconstruct as run
+    from process.settings import ReconstructOptions
 
     summary = run(scan, ReconstructOptions(**options))  # type: ignore[arg-type]
-    print_json(summary) if as_json else click.echo(str(summary))
+    _show_json(summary) if as_json else _show_words(summary)
     return 0 if summary.complete else EXIT_INCOMPLETE
+
+
+def _show_json(summary: Summary) -> None:
+    import msgspec
+
+    facts = {name: getattr(summary, name) for name in ("scan", "complete", "outcome", "points", "warnings")}
+    paths = {"maps": summary.paths.maps, "cloud": summary.paths.cloud, "report": summary.paths.report}
+    if summary.points is None:
+        paths.pop("cloud")
+    print_json({**facts, "paths": paths, "report": msgspec.to_builtins(summary.results.report)})
+
+
+def _show_words(summary: Summary) -> None:
+    report, paths = summary.results.report, summary.paths
+    click.echo(f"{summary.outcome_text}  {summary.scan}")
+    counts, seconds = report.counts, report.timings_s.get("total", float("nan"))
+    click.echo(
+        f"{counts['over_contrast']} pixels over the contrast, {counts['past_s_in_first']} past S in the first frame, "
+        f"{counts['crossings']} crossings, {'no cloud' if summary.points is None else f'{summary.points} points'}, "
+        f"in {seconds:.2f} s"
+    )
+    for path in (paths.maps, paths.cloud if summary.points is not None else None, paths.report):
+        if path is not None:
+            click.echo(str(path))
+    for warning in summary.warnings:
+        click.echo(f"note: {warning}", err=True)
 
 
 @click.command()

@@ -74,7 +74,7 @@ def _show_started(result: dict[str, Any], as_json: bool) -> None:
         click.echo(f"sweep of {result.get('expected', '?')} frames into {result.get('path', '?')}")
 
 
-def _ask(session: Session, name: str, as_json: bool = False, **args: Any) -> None:
+def _ask(session: Session, name: str, as_json: bool = False, /, **args: Any) -> None:
     with session.client() as client:
         result = client.request(name, **args).result
     if as_json:

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import click
 
 from tui.commands.context import Session, json_option, plain, print_json
@@ -53,7 +56,7 @@ def fold(frames: int, size: tuple[int, int], as_json: bool) -> None:
     """Fold a synthetic sweep frame by frame."""
     from process.bench import bench_fold
 
-    _show(bench_fold(frames, (size[1], size[0])), as_json)
+    _show(bench_fold((size[1], size[0]), frames), as_json)
 
 
 @bench.command()
@@ -71,8 +74,16 @@ def _show(figures: object, as_json: bool) -> None:
     if as_json:
         print_json(figures)
         return
-    for name, value in plain(figures).items():
-        click.echo(f"{name.replace('_', ' '):<36} {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+    for name, value in _flat(plain(figures)):
+        click.echo(f"{name.replace('_', ' '):<40} {f'{value:.4g}' if isinstance(value, float) else value}")
+
+
+def _flat(figures: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in figures.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}  ")
+        else:
+            yield prefix + name, value
 
 
 @click.command()

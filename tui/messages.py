@@ -1,0 +1,73 @@
+"""What the console's input thread tells the screen, as Textual messages; high-rate ones replace each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from textual.message import Message
+
+from acquire.contract.messages import ResultEnd, ResultProgress, Status
+
+
+@dataclass
+class StatusArrived(Message):
+    """The newest state of the rig."""
+
+    status: Status
+
+    def can_replace(self, message: Message) -> bool:
+        """Only the newest state counts."""
+        return isinstance(message, StatusArrived)
+
+
+@dataclass
+class ProgressArrived(Message):
+    """How far the worker is."""
+
+    progress: ResultProgress
+
+    def can_replace(self, message: Message) -> bool:
+        """Only the newest progress counts."""
+        return isinstance(message, ProgressArrived)
+
+
+@dataclass
+class ResultsOnDisk(Message):
+    """Maps and cloud of a scan are on disk."""
+
+    result: ResultEnd
+
+
+@dataclass
+class LinkChanged(Message):
+    """The daemon is heard, or no longer."""
+
+    connected: bool
+    detail: str
+    """Where it is heard, or why not."""
+
+
+@dataclass
+class CommandAnswered(Message):
+    """What became of a command that was sent from here."""
+
+    name: str
+    ok: bool
+    detail: str
+    """The daemon's words, or why there are none."""
+
+
+@dataclass
+class PageKnown(Message):
+    """The address of the page in the browser; empty when the viewer is away."""
+
+    url: str
+
+
+@dataclass
+class Note(Message):
+    """A line for the log from somewhere else in this process."""
+
+    text: str
+    level: str = "info"
+    """``info``, ``warning`` or ``error``."""

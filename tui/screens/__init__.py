@@ -1,0 +1,1 @@
+"""The screens of the console: the rig, and the dialogs above it."""
