@@ -1,0 +1,53 @@
+# Two commands do everything: `make demo` and `make test`. Both install into .venv first.
+VENV := .venv
+PY := $(VENV)/bin/python
+STAMP := $(VENV)/.installed
+TEST_STAMP := $(VENV)/.installed-test
+APT := chromium fonts-dejavu-core tmux
+ifneq ($(shell id -u),0)
+SUDO := sudo
+endif
+
+.PHONY: demo test lint install install-test system-packages bench clean
+
+demo: $(STAMP)
+	@$(VENV)/bin/sweepscope demo
+
+install: $(STAMP)
+
+install-test: $(TEST_STAMP)
+
+$(VENV)/bin/python:
+	python3 -m venv $(VENV)
+
+$(STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable .
+	@touch $@
+
+$(TEST_STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	@touch $@ $(STAMP)
+
+# what the tests need beside Python: a browser, a terminal multiplexer
+system-packages:
+	@missing=""; for p in $(APT); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
+	if [ -n "$$missing" ]; then \
+		echo "installing$$missing"; \
+		$(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq --no-install-recommends $$missing >/dev/null; \
+	fi
+
+lint: $(TEST_STAMP)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+	$(VENV)/bin/lint-imports
+
+test: system-packages $(TEST_STAMP) lint
+	$(PY) -m pytest
+
+bench: $(STAMP)
+	$(VENV)/bin/sweepscope bench fold
+	$(VENV)/bin/sweepscope bench pipeline
+
+clean:
+	rm -rf $(VENV) demo-data build dist .pytest_cache .mypy_cache .ruff_cache

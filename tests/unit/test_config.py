@@ -1,0 +1,78 @@
+"""The configuration: layers, origins, manuals and refusals."""
+
+from __future__ import annotations
+
+import tomllib
+
+import msgspec
+import pytest
+
+from acquire.contract.config import find_config_file, key_docs, load_config
+from acquire.contract.config_model import RigConfig
+from acquire.contract.errors import ConfigError
+
+
+def write(path, text):
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_layers_go_default_file_environment_flag(tmp_path):
+    flag = write(tmp_path / "rig.toml", "[camera]\nwidth = 640\nheight = 480\ngain = 3.0\n")
+    environ = {"SWEEPSCOPE_CAMERA__HEIGHT": "240", "SWEEPSCOPE_CAMERA__GAIN": "4.5"}
+    loaded = load_config(flag, {"camera.gain": 9.0}, environ)
+    camera = loaded.rig.camera
+    assert (camera.width, camera.height, camera.gain) == (640, 240, 9.0)
+    origins = [loaded.origins[f"camera.{key}"] for key in ("exposure_ms", "width", "height", "gain")]
+    assert origins == ["default", flag, "SWEEPSCOPE_CAMERA__HEIGHT", "flag"]
+
+
+def test_an_unknown_key_is_refused_with_the_nearest_valid_name(tmp_path):
+    flag = write(tmp_path / "rig.toml", "[stage]\ntravel_max_step = 9\n")
+    with pytest.raises(ConfigError, match=r"travel_max_step.*did you mean stage\.travel_max_steps"):
+        load_config(flag, environ={})
+
+
+def test_an_unknown_section_is_refused_with_the_nearest_valid_name(tmp_path):
+    flag = write(tmp_path / "rig.toml", "[stag]\nport = ''\n")
+    with pytest.raises(ConfigError, match=r"\[stag\].*stage"):
+        load_config(flag, environ={})
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[camera]\nwidth = 'wide'\n", "camera.width.*int"),
+        ("[camera]\nwidth = 3\n", "camera.width"),
+        ("[stage]\ntravel_max_steps = -5\n", "travel_max_steps"),
+        ("[reconstruct]\nmedian = 4\n", "odd"),
+        ("[camera\n", "not valid TOML"),
+        ("camera = 3\n", "section"),
+    ],
+)
+def test_a_value_that_cannot_be_used_is_named(tmp_path, text, words):
+    flag = write(tmp_path / "rig.toml", text)
+    with pytest.raises(ConfigError, match=words):
+        load_config(flag, environ={})
+
+
+def test_a_configuration_that_is_named_and_missing_is_an_error():
+    with pytest.raises(ConfigError, match="nowhere.toml"):
+        load_config("/nowhere.toml", environ={})
+    with pytest.raises(ConfigError, match="SWEEPSCOPE_CONFIG"):
+        find_config_file(None, {"SWEEPSCOPE_CONFIG": "/nowhere.toml"})
+
+
+def test_every_key_has_a_manual():
+    rig = RigConfig()
+    for section in msgspec.to_builtins(rig):
+        struct = type(getattr(rig, section))
+        missing = set(struct.__struct_fields__) - set(key_docs(struct))
+        assert not missing, f"[{section}] has no manual for {missing}"
+
+
+def test_the_explained_configuration_is_valid_toml_and_reads_back(tmp_path):
+    loaded = load_config(overrides={"camera.gain": 7.5}, environ={})
+    again = load_config(write(tmp_path / "rig.toml", loaded.explained()), environ={})
+    assert again.rig == loaded.rig
+    assert tomllib.loads(loaded.toml())["camera"]["gain"] == 7.5
