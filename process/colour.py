@@ -25,7 +25,7 @@ def take_new_maxima(grey, frame, highest, colour, shift):
     for block in range(0, whole, BLOCK):
         mask = higher_than(grey, block, highest, block)
         while mask != 0:
-            _take(block + lowest_bit(mask), grey, frame, highest, colour, shift)
+            _take(np.uint64(block) + lowest_bit(mask), grey, frame, highest, colour, shift)
             mask &= mask - np.uint64(1)
     for pixel in range(whole, grey.size):
         if grey[pixel] > highest[pixel]:

@@ -51,22 +51,13 @@ class Maps:
     """over_contrast, past_s_in_first, crossings, flagged, unresolved, and one per quality bit."""
 
 
-class Choices(NamedTuple):
-    """What can be chosen after the sweep."""
-
-    contrast: int
-    """Least max - min, in counts of 8 bit."""
-    median: int
-    """Odd side of the median of the mask in pixels; 0 for none."""
-    noise_counts: float
-    """Standard deviation of the noise, in counts of 8 bit."""
-
-
 class Folded(NamedTuple):
     """What the fold hands over; [h, w] originals, flat samples of the folded signal."""
 
     minimum: NDArray[Any]
     maximum: NDArray[Any]
+    mask: NDArray[np.uint8]
+    """contrast_mask of the two."""
     samples: Samples
     present: NDArray[np.int64]
     """Frame index of each folded frame, ascending; at least one."""
@@ -198,14 +189,14 @@ def _counts(mask: NDArray[np.uint8], out: _Estimates, flagged: int, resolved: bo
     }
 
 
-def make_maps(folded: Folded, choices: Choices, colour: NDArray[np.uint8], read_columns: ReadColumns | None) -> Maps:
+def make_maps(folded: Folded, noise_counts: float, colour: NDArray[np.uint8], read_columns: ReadColumns | None) -> Maps:
     """Maps of what was folded, by DESIGN section 4; colour is taken over as it is.
 
-    Raises ValueError for bad choices and ScanFileError where the file contradicts the fold.
+    noise_counts: standard deviation of the noise, in counts of 8 bit. Raises ScanFileError where the
+    file contradicts the fold.
     """
-    shape, samples = folded.minimum.shape, folded.samples
-    mask = contrast_mask(folded.minimum, folded.maximum, choices.contrast, choices.median, folded.bit_depth)
-    noise = choices.noise_counts * 2.0 ** (folded.bit_depth - 8)
+    shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
+    noise = noise_counts * 2.0 ** (folded.bit_depth - 8)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask)

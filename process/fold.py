@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from process.colour import ColourOfMaximum
 from process.crossing_kernels import Samples, sample_columns
-from process.crossings import Choices, Edge, Folded, Maps, ReadColumns, empty_samples, full_scale, make_maps
+from process.crossings import (
+    Edge,
+    Folded,
+    Maps,
+    ReadColumns,
+    contrast_mask,
+    empty_samples,
+    full_scale,
+    make_maps,
+)
 from process.fold_kernels import (
     MAX_FRAMES,
     MAXIMUM,
@@ -29,6 +38,7 @@ from process.fold_kernels import (
     fold_frames,
     start_state,
 )
+from process.recent import RecentFrames, aligned_zeros
 
 __all__ = ["Fold", "Maps", "level_type", "to_grey", "warm_up"]
 
@@ -49,8 +59,8 @@ def level_type(bit_depth: int) -> np.dtype[Any]:
     return np.dtype(np.uint8 if bit_depth == 8 else np.uint16)
 
 
-def to_grey(frame: NDArray[Any], bit_depth: int) -> NDArray[Any]:
-    """Grey of a frame in its stored depth: [h, w] as it is, [h, w, 3] RGB by OpenCV's weights.
+def to_grey(frame: NDArray[Any], bit_depth: int, out: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Grey of a frame in its stored depth: [h, w] as it is, [h, w, 3] RGB by OpenCV's weights (into out).
 
     Raises ValueError where the type does not fit the depth or the shape is neither.
     """
@@ -60,17 +70,10 @@ def to_grey(frame: NDArray[Any], bit_depth: int) -> NDArray[Any]:
         return frame
     if frame.ndim != 3 or frame.shape[2] != 3:
         raise ValueError(f"a frame is [h, w] grey or [h, w, 3] RGB, not {frame.shape}")
-    grey: NDArray[Any] = np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY))
-    return grey.reshape(frame.shape[:2])
-
-
-def _aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """Zeros on a cache line, every page touched now: the first frames must not pay for it."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.empty(size + 64, np.uint8)
-    raw[:] = 0
-    start = -raw.ctypes.data % 64
-    return raw[start : start + size].view(dtype).reshape(shape)
+    if out is None:
+        out = np.empty(frame.shape[:2], frame.dtype)
+    cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY, dst=out)
+    return out
 
 
 def _tiles(shape: tuple[int, int]) -> int:
@@ -103,23 +106,22 @@ class Fold:
         if records < 2:
             raise ValueError(f"the log needs room for 2 records per pixel, not {records}")
         self._shape, self._edge, self._bit_depth = shape, edge, bit_depth
+        self._flip = full_scale(bit_depth) if edge == "falling" else 0
         self._frames_expected = frames_expected
         self._dtype = level_type(bit_depth)
         self._pixels = shape[0] * shape[1]
         tiles = _tiles(shape)
-        self._slots = BATCH + 1
-        self._ring = _aligned((self._slots, tiles * TILE), self._dtype)
-        self._first = _aligned((tiles * TILE,), self._dtype)
-        self._state = _aligned((tiles, PLANES, TILE), self._dtype)
+        self._recent = RecentFrames(shape, self._dtype, BATCH)
+        self._first = aligned_zeros((tiles * TILE,), self._dtype)
+        self._state = aligned_zeros((tiles, PLANES, TILE), self._dtype)
         self._log = Log(
-            where=_aligned((tiles, records * TILE), np.uint32),
-            levels=_aligned((tiles, records * TILE, 3), self._dtype),
+            where=aligned_zeros((tiles, records * TILE), np.uint32),
+            levels=aligned_zeros((tiles, records * TILE, 3), self._dtype),
             waiting=np.zeros(tiles, np.int64),
-            lost_low=_aligned((tiles * TILE,), self._dtype),
+            lost_low=aligned_zeros((tiles * TILE,), self._dtype),
         )
         self._colour: ColourOfMaximum | None = None
         self._present: list[int] = []
-        self._pending = 0
 
     @staticmethod
     def bytes_needed(shape: tuple[int, int], bit_depth: int) -> int:
@@ -138,57 +140,55 @@ class Fold:
         """Indices of all folded frames, ascending."""
         return np.array(self._present, np.int64)
 
-    def add(self, frame_index: int, frame: NDArray[Any]) -> None:
-        """Fold the next frame: [h, w] grey or [h, w, 3] RGB; it is copied. Indices left out are missing.
+    def add(self, frame_index: int, frame: NDArray[Any], *, keep: bool = False) -> None:
+        """Fold the next frame: [h, w] grey or [h, w, 3] RGB. Indices left out are missing frames.
 
-        Raises ValueError, and folds nothing, for an index that does not increase or is not expected,
-        another shape, type or number of channels, or a value above the depth's full scale.
+        The frame is copied. With keep the caller promises not to change it any more, and a grey frame
+        is held by reference until a few more have come, which saves the copy. Raises ValueError, and
+        folds nothing, for an index that does not increase or is not expected, and for another shape,
+        type or number of channels.
         """
         if not self.folded_through < frame_index < self._frames_expected:
             raise ValueError(
                 f"frame {frame_index} cannot follow frame {self.folded_through} of {self._frames_expected} expected"
             )
-        grey = to_grey(frame, self._bit_depth)
-        if grey.shape != self._shape:
-            raise ValueError(f"frame {frame_index} has shape {grey.shape}, the fold {self._shape}")
-        self._check_channels(frame)
-        full = full_scale(self._bit_depth)
-        if 8 < self._bit_depth < 16 and int(grey.max()) > full:
-            raise ValueError(f"frame {frame_index} has a value above {full}, the most of {self._bit_depth} bit")
-        if self._colour is not None:
-            self._colour.add(grey, frame)
-        slot = len(self._present) % self._slots
-        target = self._ring[slot, : self._pixels].reshape(self._shape)
-        if self._edge == "falling":
-            np.subtract(full, grey, out=target)
-        else:
-            np.copyto(target, grey)
-        self._accept(frame_index, slot)
-
-    def _check_channels(self, frame: NDArray[Any]) -> None:
-        if not self._present:
-            self._colour = ColourOfMaximum(self._shape, self._bit_depth) if frame.ndim == 3 else None
-        elif (frame.ndim == 3) != (self._colour is not None):
-            raise ValueError(f"the first frame was {'RGB' if self._colour else 'grey'}, this one is not")
-
-    def _accept(self, frame_index: int, slot: int) -> None:
+        if frame.shape[:2] != self._shape:
+            raise ValueError(f"frame {frame_index} is {frame.shape[:2]}, the fold {self._shape}")
+        if self._present and (frame.ndim == 3) != (self._colour is not None):
+            raise ValueError(f"frame {frame_index} is {frame.shape}: grey and RGB cannot be mixed")
+        self._append(frame, keep)
         self._present.append(frame_index)
         if len(self._present) == 1:
-            self._first[:] = self._ring[slot]
-            start_state(self._first, self._state.reshape(-1))
-            return
-        self._pending += 1
-        if self._pending == BATCH:
+            self._start()
+        elif self._recent.full:
             self._flush()
 
+    def _append(self, frame: NDArray[Any], keep: bool) -> None:
+        grey = to_grey(frame, self._bit_depth, out=self._recent.slot())
+        if frame.ndim == 3:
+            if not self._present:
+                self._colour = ColourOfMaximum(self._shape, self._bit_depth)
+            assert self._colour is not None
+            self._colour.add(grey, frame)
+        elif not (keep and frame.flags.c_contiguous and frame.flags.aligned):
+            grey = self._recent.slot()
+            np.copyto(grey, frame)
+        self._recent.append(grey)
+
+    def _start(self) -> None:
+        (frame, *_), _ = self._recent.waiting_frames()
+        np.bitwise_xor(frame, self._flip, out=self._first[: self._pixels])
+        start_state(self._first, self._state.reshape(-1))
+
     def _flush(self) -> None:
-        """Fold the frames that wait in the ring."""
-        if self._pending == 0:
+        """Fold the frames that wait."""
+        waiting = self._recent.waiting
+        if waiting == 0:
             return
-        ordinal = len(self._present) - self._pending
-        ring, state = self._ring.reshape(-1), self._state.reshape(-1)
-        fold_frames(ring, self._slots, ordinal % self._slots, self._pending, ordinal, state, self._log)
-        self._pending = 0
+        frames, tails = self._recent.waiting_frames()
+        ordinal = len(self._present) - waiting
+        fold_frames(frames, tails, waiting, ordinal, self._flip, self._state.reshape(-1), self._log)
+        self._recent.clear()
 
     def result(
         self,
@@ -211,21 +211,28 @@ class Fold:
         if not self._present:
             raise ValueError("nothing was folded yet")
         self._flush()
-        samples = self._samples()
-        lowest, highest = samples.minimum.reshape(self._shape), samples.maximum.reshape(self._shape)
+        lowest = np.minimum(self._plane(TAIL_DIP), self._plane(MINIMUM)).reshape(self._shape)
+        highest = self._plane(MAXIMUM).reshape(self._shape)
+        full = full_scale(self._bit_depth)
+        if self._bit_depth not in (8, 16) and int(highest.max()) > full:
+            raise ValueError(f"a folded frame has values above {full}, the most of {self._bit_depth} bit")
+        low, high = lowest, highest
         if self._edge == "falling":
-            full = full_scale(self._bit_depth)
-            lowest, highest = full - highest, full - lowest
-        folded = Folded(lowest, highest, samples, self.present, self._edge, self._bit_depth)
-        colour = self._colour.copy() if self._colour else self._grey_colour(highest)
-        return make_maps(folded, Choices(contrast, median, noise_counts), colour, read_columns)
+            low, high = full - highest, full - lowest
+        mask = contrast_mask(low, high, contrast, median, self._bit_depth)
+        samples = self._samples(lowest.ravel(), highest.ravel(), mask)
+        folded = Folded(low, high, mask, samples, self.present, self._edge, self._bit_depth)
+        colour = self._colour.copy() if self._colour else self._grey_colour(high)
+        return make_maps(folded, noise_counts, colour, read_columns)
 
     def _plane(self, plane: int) -> NDArray[Any]:
         return self._state[:, plane].copy().reshape(-1)[: self._pixels]
 
-    def _samples(self) -> Samples:
-        """Copies of the state, and what the log knows of the crossings; flat."""
+    def _samples(self, lowest: NDArray[Any], highest: NDArray[Any], mask: NDArray[np.uint8]) -> Samples:
+        """Copies of the state, and what the log knows of the crossings where the mask is true; flat."""
         size = len(self._first)
+        wanted = np.zeros(size, np.uint8)
+        wanted[: self._pixels] = mask.ravel()
         found = Found(
             ordinal=np.empty(size, np.int32),
             level=np.empty(size, np.uint16),
@@ -233,18 +240,17 @@ class Fold:
             later_dip=np.empty(size, np.int32),
             last_ordinal=np.empty(size, np.int32),
         )
-        find_crossings(self._state.reshape(-1), self._log, found)
-        dip = self._plane(TAIL_DIP)
+        find_crossings(self._state.reshape(-1), self._log, wanted, found)
         return Samples(
-            minimum=np.minimum(dip, self._plane(MINIMUM)),
-            maximum=self._plane(MAXIMUM),
+            minimum=lowest,
+            maximum=highest,
             first=self._first[: self._pixels],
             ordinal=found.ordinal[: self._pixels],
             level=found.level[: self._pixels],
             before=found.before[: self._pixels],
             later_dip=found.later_dip[: self._pixels],
             last_ordinal=found.last_ordinal[: self._pixels],
-            tail_dip=dip,
+            tail_dip=self._plane(TAIL_DIP),
             tail_rise=self._plane(TAIL_RISE),
         )
 

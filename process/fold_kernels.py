@@ -14,10 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from process.vector_blocks import BLOCK, fold_block, lowest_bit, prefetch
+from process.vector_blocks import BLOCK, count_bits, fold_block, lowest_bit, prefetch
 
 TILE = 2048
 """Pixels per tile; a multiple of BLOCK, and their offsets leave the sign of a 16-bit word free."""
+
+BLOCKS = TILE // BLOCK
 
 PLANES = 4
 MAXIMUM, TAIL_DIP, TAIL_RISE, MINIMUM = range(PLANES)
@@ -36,6 +38,9 @@ MAX_FRAMES = 65536
 NEVER = -1
 UNKNOWN = -2
 """Instead of an ordinal in found: no frame reaches S, or the log no longer knows which."""
+
+OUT_OF_REACH = 4 * 65536
+"""Above twice every level."""
 
 NO_DIP = 65536
 """later_dip where no new maximum follows the crossing; above every level."""
@@ -124,7 +129,7 @@ def compact_tile(tile, where, levels, waiting, lost_low, maxima, minima, dips):
 
 @njit(cache=True, nogil=True)
 def start_state(first, state):
-    """Begin all planes with the first folded frame: levels [pixels], a multiple of TILE."""
+    """Begin all planes with the first folded frame, already flipped: levels [tiles * TILE]."""
     for tile in range(first.size // TILE):
         frame = first[tile * TILE : (tile + 1) * TILE]
         base = tile * TILE * PLANES
@@ -135,20 +140,50 @@ def start_state(first, state):
             state[base + MINIMUM * TILE + pixel] = frame[pixel]
 
 
-@njit(cache=True, nogil=True)
-def fold_frames(ring, slots, first_slot, n_frames, first_ordinal, state, log):
-    """Fold n_frames of the ring, in order from first_slot on, into state and log.
+@njit(cache=True, nogil=True, inline="always")
+def list_bits(masks, listed):
+    """Places of the set bits of masks [BLOCKS], ascending, into listed [TILE + 2]; returns their number.
 
-    ring: flat levels [slots * pixels], pixels a multiple of TILE. The slot before first_slot holds the
-    frame before. first_ordinal >= 1: frame 0 only starts the state. The result does not depend on how
-    the frames are dealt into calls.
+    Two per mask are written whether they are there or not: with a new maximum in every third mask or so,
+    a branch on each would be predicted wrongly, and cost more than all the rest.
     """
-    pixels = ring.size // slots
+    one = np.uint64(1)
+    found = np.uint64(0)
+    for block in range(BLOCKS):
+        mask = masks[block]
+        following = found + count_bits(mask)
+        place = np.uint64(block * BLOCK)
+        listed[found] = place + lowest_bit(mask)
+        mask &= mask - one
+        listed[found + one] = place + lowest_bit(mask)
+        mask &= mask - one
+        found += np.uint64(2)
+        while mask != 0:
+            listed[found] = place + lowest_bit(mask)
+            mask &= mask - one
+            found += one
+        found = following
+    return found
+
+
+@njit(cache=True, nogil=True)
+def fold_frames(frames, tails, n_frames, first_ordinal, flip, state, log):
+    """Fold frames[1] .. frames[n_frames], in this order, into state and log; frames[0] is the one before.
+
+    frames: tuple of flat originals [h * w]; values are level ^ flip. tails: tuple of the same frames'
+    last, incomplete tile [TILE]. first_ordinal >= 1: frame 0 only starts the state. The result does not
+    depend on how the frames are dealt into calls.
+    """
     room = log.where.shape[1]
     one = np.uint64(1)
-    for tile in range(pixels // TILE):
-        origin = tile * TILE
-        base = origin * PLANES
+    flip = np.uint64(flip)
+    masks = np.empty(BLOCKS, np.uint64)
+    listed = np.empty(TILE + 2, np.uint64)
+    for tile in range(log.where.shape[0]):
+        whole = (tile + 1) * TILE <= frames[0].size
+        sources = frames if whole else tails
+        at = tile * TILE if whole else 0
+        base = tile * TILE * PLANES
         maxima = state[base + MAXIMUM * TILE : base + (MAXIMUM + 1) * TILE]
         dips = state[base + TAIL_DIP * TILE : base + (TAIL_DIP + 1) * TILE]
         rises = state[base + TAIL_RISE * TILE : base + (TAIL_RISE + 1) * TILE]
@@ -156,43 +191,41 @@ def fold_frames(ring, slots, first_slot, n_frames, first_ordinal, state, log):
         where = log.where[tile]
         levels = log.levels[tile]
         waiting = np.uint64(log.waiting[tile])
-        slot = first_slot
-        at_before = ((first_slot + slots - 1) % slots) * pixels + origin
+        before = sources[0][at : at + TILE]
         for k in range(n_frames):
             if waiting > np.uint64(room - TILE):
                 waiting = np.uint64(
                     compact_tile(tile, where, levels, np.int64(waiting), log.lost_low, maxima, minima, dips)
                 )
-            at = slot * pixels + origin
-            frame = ring[at : at + TILE]
-            before = ring[at_before : at_before + TILE]
-            ahead = min(at + TILE, ring.size - TILE)
+            source = sources[k + 1]
+            frame = source[at : at + TILE]
             stamp = (first_ordinal + k) << 16
             for block in range(0, TILE, BLOCK):
-                prefetch(ring, ahead + block)
-                mask = fold_block(ring, at + block, state, base + block, TILE)
-                while mask != 0:
-                    pixel = block + lowest_bit(mask)
-                    mask &= mask - one
-                    value = frame[pixel]
-                    dip = dips[pixel]
-                    where[waiting] = stamp | pixel
-                    levels[waiting, VALUE] = value
-                    levels[waiting, BEFORE] = before[pixel]
-                    levels[waiting, DIP] = dip
-                    waiting += one
-                    maxima[pixel] = value
-                    dips[pixel] = value
-                    rises[pixel] = 0
-                    minima[pixel] = min(dip, minima[pixel])
-            at_before = at
-            slot = slot + 1 if slot + 1 < slots else 0
+                prefetch(source, at + block + TILE)
+                masks[block // BLOCK] = fold_block(source, at + block, flip, state, base + block, TILE)
+            for index in range(list_bits(masks, listed)):
+                pixel = listed[index]
+                value = frame[pixel] ^ flip
+                dip = dips[pixel]
+                where[waiting] = stamp | pixel
+                levels[waiting, VALUE] = value
+                levels[waiting, BEFORE] = before[pixel] ^ flip
+                levels[waiting, DIP] = dip
+                waiting += one
+                maxima[pixel] = value
+                dips[pixel] = value
+                rises[pixel] = 0
+                minima[pixel] = min(dip, minima[pixel])
+            before = frame
         log.waiting[tile] = np.int64(waiting)
 
 
 @njit(cache=True, nogil=True)
-def find_crossings(state, log, found):
-    """Read the log once, in order: the first entry of each pixel that lies at or above its S."""
+def find_crossings(state, log, wanted, found):
+    """Read the log once, in order: the first entry of each wanted pixel that lies at or above its S.
+
+    wanted: [tiles * TILE], not 0 where the crossing is asked for; last_ordinal is found of every pixel.
+    """
     sums = np.empty(TILE, np.int32)
     for tile in range(log.where.shape[0]):
         origin = tile * TILE
@@ -200,6 +233,8 @@ def find_crossings(state, log, found):
         for pixel in range(TILE):
             minimum = min(state[base + TAIL_DIP * TILE + pixel], state[base + MINIMUM * TILE + pixel])
             sums[pixel] = np.int32(state[base + pixel]) + np.int32(minimum)
+            if wanted[origin + pixel] == 0:
+                sums[pixel] = OUT_OF_REACH
             found.ordinal[origin + pixel] = NEVER
             found.later_dip[origin + pixel] = NO_DIP
             found.last_ordinal[origin + pixel] = 0

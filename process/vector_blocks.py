@@ -21,6 +21,7 @@ BLOCK = 64
 _operation: Any = intrinsic
 """numba's own annotation counts the typing context among the arguments."""
 
+_FIRST = ir.Constant(ir.IntType(32), 0)
 _BIT = ir.IntType(1)
 _BYTE_POINTER = ir.IntType(8).as_pointer()
 
@@ -43,23 +44,33 @@ def _load(builder: Any, pointer: Any) -> Any:
     return builder.load(pointer, align=1)
 
 
+def _repeated(builder: Any, number: Any, vector: Any) -> Any:
+    """A vector of `vector`'s type, every element the low bits of a uint64."""
+    level = builder.trunc(number, vector.element)
+    one = builder.insert_element(ir.Constant(vector, ir.Undefined), level, _FIRST)
+    places = ir.Constant(ir.VectorType(ir.IntType(32), BLOCK), [0] * BLOCK)
+    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), places)
+
+
 @_operation
-def fold_block(typing_context: Any, frame: Any, frame_at: Any, state: Any, state_at: Any, plane: Any) -> Any:
+def fold_block(typing_context: Any, frame: Any, frame_at: Any, flip: Any, state: Any, state_at: Any, plane: Any) -> Any:
     """Fold 64 pixels into three planes that lie `plane` elements apart: maximum, tail dip, tail rise.
 
-    Bit i of the uint64 result: frame[frame_at + i] is a new maximum. The maximum itself is only read;
-    of such a pixel the caller sets all three (until then the dip is the one before the new maximum).
+    The values are frame[frame_at + i] ^ flip. Bit i of the uint64 result: the value is a new maximum.
+    The maximum itself is only read; of such a pixel the caller sets all three (until then the dip is
+    the one before the new maximum).
     """
     _require_levels(frame, state)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds = signature.args
-        maximum_at, stride = arguments[3], arguments[4]
+        maximum_at, stride = arguments[4], arguments[5]
         dip_at = builder.add(maximum_at, stride)
         values = _load(builder, _pointer(context, builder, kinds[0], arguments[0], arguments[1]))
-        maximum = _load(builder, _pointer(context, builder, kinds[2], arguments[2], maximum_at))
-        dip_pointer = _pointer(context, builder, kinds[2], arguments[2], dip_at)
-        rise_pointer = _pointer(context, builder, kinds[2], arguments[2], builder.add(dip_at, stride))
+        values = builder.xor(values, _repeated(builder, arguments[2], values.type))
+        maximum = _load(builder, _pointer(context, builder, kinds[3], arguments[3], maximum_at))
+        dip_pointer = _pointer(context, builder, kinds[3], arguments[3], dip_at)
+        rise_pointer = _pointer(context, builder, kinds[3], arguments[3], builder.add(dip_at, stride))
         dip, rise = _load(builder, dip_pointer), _load(builder, rise_pointer)
         dip = builder.select(builder.icmp_unsigned("<", values, dip), values, dip)
         height = builder.sub(values, dip)
@@ -68,7 +79,7 @@ def fold_block(typing_context: Any, frame: Any, frame_at: Any, state: Any, state
         builder.store(rise, rise_pointer, align=1)
         return builder.bitcast(builder.icmp_unsigned(">", values, maximum), ir.IntType(64))
 
-    return types.uint64(frame, types.intp, state, types.intp, types.intp), generate
+    return types.uint64(frame, types.intp, types.uint64, state, types.intp, types.intp), generate
 
 
 @_operation
@@ -92,7 +103,17 @@ def lowest_bit(typing_context: Any, mask: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(_BIT, 0))
 
-    return types.intp(types.uint64), generate
+    return types.uint64(types.uint64), generate
+
+
+@_operation
+def count_bits(typing_context: Any, mask: Any) -> Any:
+    """Number of set bits of a uint64."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ctpop(arguments[0])
+
+    return types.uint64(types.uint64), generate
 
 
 @_operation
