@@ -82,6 +82,7 @@ class ConsoleApp(App[None]):
         self.connected = False
         self.url = ""
         self._stop_words = ""
+        self._stop_answered_ns: int | None = None
         self._faults_said: set[tuple[str, int]] = set()
 
     # ---- life ----
@@ -148,6 +149,8 @@ class ConsoleApp(App[None]):
 
     def on_command_answered(self, message: CommandAnswered) -> None:
         """What became of a command."""
+        if message.name == "stop":
+            self._stop_answered_ns = message.at_mono_ns
         if not message.ok:
             if message.name == "stop":
                 self._stop_words = "STOP NOT CONFIRMED"
@@ -181,8 +184,8 @@ class ConsoleApp(App[None]):
             self.say(outcome_line(now), "info" if now.outcome == Outcome.COMPLETE else "warning")
 
     def _judge_stop(self, status: Status) -> None:
-        """STOP is confirmed by the rig's state alone."""
-        if not self._stop_words:
+        """STOP is confirmed by the rig's state alone, as it was said after the daemon had taken the command."""
+        if not self._stop_words or self._stop_answered_ns is None or status.sent_mono_ns < self._stop_answered_ns:
             return
         if status.state == State.FINISHING:
             self._stop_words = "STOP taken: saving what was taken"
@@ -194,7 +197,7 @@ class ConsoleApp(App[None]):
 
     def action_stop(self) -> None:
         """End all motion."""
-        self._stop_words = "STOP sent"
+        self._stop_words, self._stop_answered_ns = "STOP sent", None
         self._link.send("stop")
         self.say("STOP sent; waiting for the rig's own word", "warning")
         self._refresh()

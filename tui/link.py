@@ -145,7 +145,7 @@ class RigLink:
             pending = self._pending.pop(message.request_id, None)
             if pending is not None:
                 detail = message.error if not message.ok else str(message.result.get("path", ""))
-                self._post(CommandAnswered(pending.command.name, message.ok, detail))
+                self._post(CommandAnswered(pending.command.name, message.ok, detail, message.sent_mono_ns))
 
     def _paint(self) -> None:
         now_s = time.monotonic()
@@ -190,16 +190,19 @@ class RigLink:
         for command in self._queued():
             # a command that waited in a queue for the daemon to come back would move the stage when nobody expects it
             if (not self._connected and command.name != "stop") or not sockets.sender.send(command):
-                self._post(CommandAnswered(command.name, False, "not sent: the rig daemon is not connected"))
+                self._fail(command, "not sent: the rig daemon is not connected")
                 continue
             now_s = time.monotonic()
             self._pending[command.request_id] = _Pending(
                 command, now_s + self._command_timeout_s / 2, now_s + self._command_timeout_s
             )
 
+    def _fail(self, command: Command, why: str) -> None:
+        self._post(CommandAnswered(command.name, False, why, time.clock_gettime_ns(time.CLOCK_MONOTONIC)))
+
     def _refuse_outbox(self) -> None:
         for command in self._queued():
-            self._post(CommandAnswered(command.name, False, "not sent: the rig daemon is not connected"))
+            self._fail(command, "not sent: the rig daemon is not connected")
 
     def _queued(self) -> list[Command]:
         commands = []
@@ -214,7 +217,7 @@ class RigLink:
             if now_s >= pending.give_up_at_s:
                 del self._pending[request_id]
                 detail = f"no answer within {self._command_timeout_s:g} s: whether it was done is not known"
-                self._post(CommandAnswered(pending.command.name, False, detail))
+                self._fail(pending.command, detail)
             elif now_s >= pending.resend_at_s and not pending.resent:
                 pending.resent = True
                 sockets.sender.send(pending.command)

@@ -55,6 +55,8 @@ class CommandAnswered(Message):
     ok: bool
     detail: str
     """The daemon's words, or why there are none."""
+    at_mono_ns: int = 0
+    """CLOCK_MONOTONIC when the daemon answered, or when the answer was given up."""
 
 
 @dataclass

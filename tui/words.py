@@ -68,8 +68,8 @@ def scan_name(status: Status) -> str:
 
 
 def outcome_line(status: Status) -> str:
-    """How the last scan ended; empty while it runs and before the first."""
-    if status.outcome in ("", Outcome.RUNNING):
+    """How the last scan ended; empty before the first, and until the daemon has let go of the sealed file."""
+    if status.outcome in ("", Outcome.RUNNING) or is_running(status):
         return ""
     words = outcome_words(status.outcome, status.committed, status.expected)
     if words.startswith("SAVED") and status.missing:

@@ -111,7 +111,8 @@ def demo(
     On a terminal the console opens and the sweep starts at once; without one progress is printed. Scans go to
     ./demo-data. No configuration file is read and no hardware is touched.
     """
-    from tui.demo import DemoOptions, run_demo
+    from tui.demo import run_demo
+    from tui.demo_rig import DemoOptions
 
     return run_demo(DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir))
 

@@ -24,8 +24,8 @@ HELP = """\
 s      start a sweep (asks for a name)
 p      pause: the stage holds, nothing is lost
 r      resume
-SPACE  STOP, everywhere and at once: motion ends, frames taken are kept
-       (confirmed when the rig's state says so, not by the key)
+SPACE  STOP, everywhere and at once; frames taken are kept
+       (confirmed by the rig's state, not by the key)
 a      acknowledge the newest fault
 q      leave; the sweep goes on without this screen
 ?      this help; Escape closes it
