@@ -62,6 +62,8 @@ class Daemon:
         self._status_due_ns = 0
         self._changed = True
         self._malformed = 0
+        self._writer_lost = False
+        self._status_next_ns = 0
 
     # ---- life ----
 
@@ -156,6 +158,7 @@ class Daemon:
         self._serve_commands()
         if self.scan is not None:
             self.scan.handle(Tick(), now_ns)
+            self._watch_writer(self.scan, now_ns)
             self._follow_scan()
         self.rig.stage.keep_alive()
         self._publish_status(now_ns)
@@ -183,6 +186,14 @@ class Daemon:
         for state in (State.FINISHING, State.IDLE):
             self.enter(state)
         self.say(outcome_words(outcome, committed, sweep.count) + (f" ({sweep.reason})" if sweep.reason else ""))
+
+    def _watch_writer(self, scan: RunningScan, now_ns: int) -> None:
+        """A writer that says nothing while frames wait for it is lost, and the operator is told once."""
+        waiting = bool(scan.sweep.window.kept)
+        lost = waiting and not self.lane.alive(now_ns, round(self.config.rig.limits.writer_lost_s * NS_PER_S))
+        if lost and not self._writer_lost:
+            self.fault(report("F03", committed=len(scan.sweep.window.committed), expected=scan.sweep.count))
+        self._writer_lost = lost
 
     def _interrupt(self, now_ns: int) -> None:
         """The service ends: so does the sweep, with an honest end."""
@@ -244,8 +255,6 @@ class Daemon:
                 scan=self.scan,
             )
         )
-
-    _status_next_ns = 0
 
     def _publish_last(self) -> None:
         self.board.state = State.DISCONNECTED

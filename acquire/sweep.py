@@ -317,6 +317,7 @@ class Sweep:
             return []
         self.phase, self.result = Phase.DONE, event
         if event.end_ack.sealed:
+            self.durable = len(self.window.committed)
             return []
         self.outcome, self.reason = Outcome.INTERRUPTED, event.end_ack.reason
         return [RaiseFault(self._report("F07", detail=event.end_ack.reason))]

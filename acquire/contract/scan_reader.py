@@ -135,7 +135,9 @@ def _layout_of(path: Path, file: h5py.File) -> ScanLayout:
     regions |= {name: _region(entry[f"data/{name}"]) for name in FRAME_FIELDS}
     regions |= {name: _region(entry[name]) for name in SCALARS}
     if "checks" in entry:
-        regions |= {f"checks/{name[15:]}": _region(file[name]) for name in (CHECKS_DATA, CHECKS_STATUS, CHECKS_CRC32)}
+        regions |= {
+            name.removeprefix("/entry/"): _region(file[name]) for name in (CHECKS_DATA, CHECKS_STATUS, CHECKS_CRC32)
+        }
     _check_fields(regions)
     pixel_format = _text(entry["pixel_format"][()])
     frame_format = msgspec.convert(

@@ -1,0 +1,129 @@
+"""The simulated stage: order of events, credit, holds and stops."""
+
+from __future__ import annotations
+
+import queue
+
+import pytest
+
+from acquire.contract.config_model import StageConfig
+from acquire.contract.errors import CommandRefusedError
+from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
+from acquire.stages.simulated import SimulatedStage
+
+
+class Rig:
+    def __init__(self, time_scale=1e-4):
+        self.events = queue.Queue()
+        self.line = []
+        self.stage = SimulatedStage(StageConfig(), lambda at, _ns: self.line.append(at), time_scale=time_scale)
+        self.stage.open(self.events.put)
+
+    def next(self, timeout_s=5.0):
+        return self.events.get(timeout=timeout_s)
+
+
+@pytest.fixture
+def rig():
+    found = Rig()
+    yield found
+    found.stage.close()
+
+
+@pytest.fixture
+def slow_rig():
+    found = Rig(time_scale=1.0)
+    yield found
+    found.stage.close()
+
+
+def test_a_segment_fires_at_each_place_and_says_so_in_order(rig):
+    first_id = rig.stage.begin_segment(Segment(30, 3, 4, run_up_steps=10), 3)
+    events = [rig.next() for _ in range(5)]
+    assert [(event.trigger_id, event.shot_index, event.position_steps) for event in events[:4]] == [
+        (first_id + j, j, 30 + 3 * j) for j in range(4)
+    ]
+    assert events[4] == SegmentDone(39)
+    assert rig.line == [30, 33, 36, 39]
+
+
+def test_triggers_are_counted_on_over_segments(rig):
+    rig.stage.begin_segment(Segment(0, 3, 2), 1)
+    for _ in range(3):
+        rig.next()
+    assert rig.stage.begin_segment(Segment(0, 3, 1), 0) == 2
+    assert isinstance(rig.next(), Triggered) and isinstance(rig.next(), SegmentDone)
+
+
+def test_no_credit_no_trigger(rig):
+    rig.stage.begin_segment(Segment(0, 3, 4), 1)
+    assert [rig.next().shot_index for _ in range(2)] == [0, 1]
+    with pytest.raises(queue.Empty):
+        rig.next(timeout_s=0.1)
+    rig.stage.grant(0)
+    with pytest.raises(queue.Empty):
+        rig.next(timeout_s=0.05)
+    rig.stage.grant(3)
+    assert [rig.next().shot_index for _ in range(2)] == [2, 3]
+    assert isinstance(rig.next(), SegmentDone)
+
+
+def test_a_hold_is_told_once_and_a_resume_goes_on(rig):
+    rig.stage.begin_segment(Segment(0, 3, 2), 0)
+    assert isinstance(rig.next(), Triggered)
+    rig.stage.hold()
+    assert isinstance(rig.next(), Held)
+    rig.stage.grant(1)
+    with pytest.raises(queue.Empty):
+        rig.next(timeout_s=0.05)
+    rig.stage.resume()
+    assert rig.next().shot_index == 1
+    assert isinstance(rig.next(), SegmentDone)
+
+
+def test_a_stop_ends_a_move_where_it_is(slow_rig):
+    slow_rig.stage.move_to(4500)
+    slow_rig.stage.stop()
+    stopped = slow_rig.next()
+    assert isinstance(stopped, Stopped) and stopped.position_steps < 4500 and stopped.position_trusted
+
+
+def test_a_stop_ends_a_segment_that_waits_for_credit(rig):
+    rig.stage.begin_segment(Segment(0, 3, 4), 0)
+    assert isinstance(rig.next(), Triggered)
+    rig.stage.stop()
+    assert isinstance(rig.next(), Stopped)
+    assert not rig.stage.status().moving
+
+
+def test_a_stop_of_a_resting_stage_says_nothing_and_harms_nothing(rig):
+    rig.stage.stop()
+    rig.stage.move_to(10)
+    assert rig.next() == Moved(10, True, rig.stage.status().zero_id)
+
+
+def test_homing_makes_a_new_zero(rig):
+    before = rig.stage.status().zero_id
+    rig.stage.home()
+    moved = rig.next()
+    assert moved.position_steps == 0 and moved.zero_id not in ("", before)
+
+
+def test_touching_the_limit_reports_no_lost_steps(rig):
+    rig.stage.check_limit()
+    assert rig.next().steps_lost == 0
+
+
+def test_a_place_outside_the_travel_is_refused(rig):
+    with pytest.raises(CommandRefusedError, match=r"0\.\.4500"):
+        rig.stage.move_to(4501)
+    with pytest.raises(CommandRefusedError, match="travel"):
+        rig.stage.begin_segment(Segment(4490, 3, 10), 0)
+
+
+def test_one_activity_at_a_time(slow_rig):
+    slow_rig.stage.move_to(4500)
+    with pytest.raises(CommandRefusedError, match="moving"):
+        slow_rig.stage.move_to(0)
+    slow_rig.stage.stop()
+    slow_rig.next()
