@@ -162,8 +162,6 @@ class ConsoleApp(App[None]):
     def on_page_known(self, message: PageKnown) -> None:
         """The address of the page."""
         self.url = message.url
-        if message.url:
-            self.say(f"the cloud is shown at {message.url}")
         self._refresh()
 
     def on_note(self, message: Note) -> None:

@@ -17,7 +17,6 @@ from tui.demo_rig import DemoOptions, DemoRig
 from tui.follow import Narrator, follow_scan
 from tui.terminal import is_terminal
 from tui.up import SERVICES, read_url, say, signals_set
-from tui.words import progress_line
 
 if TYPE_CHECKING:
     from tui.app import ConsoleApp
@@ -56,7 +55,6 @@ class Demonstration:
             result = client.request("scan", name=f"demo-{sweep.object}", specimen=f"simulated {sweep.object}").result
             self._say(f"sweep of {result['expected']} frames into {result['path']}")
             end = follow_scan(client, result["scan_uid"], self._listen)
-        self._say(progress_line(end))
         return Verdict(end, self._report(end))
 
     def _listen(self, status: Status) -> None:
@@ -149,7 +147,11 @@ def _run_on_terminal(options: DemoOptions) -> int:
 
     def begin(app: ConsoleApp) -> None:
         nonlocal thread
-        rig.supervisor.say = lambda text: app.post_message(Note(text, "warning"))
+
+        def warn(text: str) -> None:
+            app.post_message(Note(text, "warning"))
+
+        rig.supervisor.say = warn
         thread = _DemoThread(rig, app)
         thread.start()
 
@@ -207,7 +209,7 @@ class _DemoThread:
             self.error = error
             self._note(str(error), "error")
             return
-        for line in self.verdict.lines(""):
+        for line in self.verdict.findings():
             self._note(line)
 
 

@@ -58,21 +58,29 @@ class Verdict:
             return EXIT_INCOMPLETE
         return EXIT_FAILED if self.failures else 0
 
-    def lines(self, url: str) -> list[str]:
-        """The summary for a person."""
-        counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
+    def findings(self) -> list[str]:
+        """What came out, in a few lines."""
+        points = self.report.get("counts", {}).get("points", 0)
         lines = [
             f"outcome  {outcome_line(self.status)}",
-            f"points   {counts.get('points', 0)}{self._share()}",
+            f"points   {points}{self._share()}",
             f"error    {self._error()}",
+        ]
+        return lines + [f"FAILED   {failure}" for failure in self.failures]
+
+    def lines(self, url: str) -> list[str]:
+        """The whole summary for a person."""
+        counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
+        stages = "".join(f", {name.replace('_', ' ')} {seconds:.2f} s" for name, seconds in timings.items())
+        names = (SEALED_NAME, MAPS_NAME, CLOUD_NAME, REPORT_NAME, TRUTH_NAME)
+        return [
+            *self.findings(),
             f"frames   {self.status.triggered} triggered, {self.status.retaken} retaken, "
             f"{counts.get('from_live', 0)} folded live, {counts.get('from_file', 0)} from the file",
-            f"timings  sweep {self.status.elapsed_s:.1f} s" + "".join(f", {k} {v:.2f} s" for k, v in timings.items()),
+            f"timings  sweep {self.status.elapsed_s:.1f} s{stages}",
+            *(f"file     {self.folder / name}" for name in names if (self.folder / name).is_file()),
+            *([f"page     {url}"] if url else []),
         ]
-        names = (SEALED_NAME, MAPS_NAME, CLOUD_NAME, REPORT_NAME, TRUTH_NAME)
-        lines += [f"file     {self.folder / name}" for name in names if (self.folder / name).is_file()]
-        lines += [f"page     {url}"] if url else []
-        return lines + [f"FAILED   {failure}" for failure in self.failures]
 
     def _share(self) -> str:
         truth = self.report.get("truth") or {}

@@ -1,4 +1,4 @@
-"""The demonstration's own world: simulated rig, embedded defaults, private sockets, a free port; closing it ends all."""
+"""The demonstration's own world: simulated rig, embedded defaults, own sockets, a free port; closing it ends all."""
 
 from __future__ import annotations
 

@@ -118,7 +118,8 @@ def newest_fault(faults: Sequence[FaultReport]) -> FaultReport | None:
 def progress_line(status: Status) -> str:
     """One line for a log: state, frames, rate, remaining time."""
     percent = f"{100 * fraction_done(status):.0f} %"
-    return f"{state_words(status):<12} {status.committed}/{status.expected} frames  {percent:>5}  {rate_words(status)}"
+    rate = f"  {rate_words(status)}" if status.state == State.SWEEPING and status.rate_hz else ""
+    return f"{state_words(status):<12} {status.committed}/{status.expected} frames  {percent:>5}{rate}"
 
 
 def status_lines(status: Status) -> list[str]:
