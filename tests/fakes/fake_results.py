@@ -130,21 +130,28 @@ class FakeRig:
 
     def _run(self) -> None:
         context: zmq.Context[Any] = zmq.Context()
+        self._senders: list[Sender] = []
         try:
             self._serve(context)
         finally:
-            context.destroy(linger=0)
+            for sender in self._senders:
+                sender.socket.close(0)
+            context.term()
+
+    def _bind(self, context: Any, kind: int, lane: str) -> Sender:
+        self._senders.append(Sender(bind(context, kind, self.run_dir, lane)))
+        return self._senders[-1]
 
     def _serve(self, context: Any) -> None:
         poller = zmq.Poller()
         poller.register(self._read, zmq.POLLIN)
         status = commands = results = None
         if self.daemon:
-            status = Sender(bind(context, zmq.PUB, self.run_dir, "status"))
-            commands = Sender(bind(context, zmq.ROUTER, self.run_dir, "command"))
+            status = self._bind(context, zmq.PUB, "status")
+            commands = self._bind(context, zmq.ROUTER, "command")
             poller.register(commands.socket, zmq.POLLIN)
         if self.worker:
-            results = Sender(bind(context, zmq.XPUB, self.run_dir, "results"))
+            results = self._bind(context, zmq.XPUB, "results")
             results.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
             poller.register(results.socket, zmq.POLLIN)
         self._ready.set()
