@@ -20,7 +20,7 @@ from acquire.contract.config import LoadedConfig
 from acquire.contract.errors import ProtocolError, SweepscopeError
 from acquire.contract.faults import in_one_line, report
 from acquire.contract.lanes import Received, Sender, bind, receive
-from acquire.contract.messages import Command, FaultReport, Reply
+from acquire.contract.messages import Command, FaultReport, Reply, Status
 from acquire.contract.outcome import outcome_words
 from acquire.contract.places import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State, transition
@@ -244,16 +244,18 @@ class Daemon:
         self._changed = False
         self._status_due_ns = now_ns + round(NS_PER_S / hz)
         self._status_next_ns = now_ns + NS_PER_S // 25
-        self._status.send(
-            self.board.status(
-                now_ns,
-                stage=self.rig.stage.status(),
-                stage_info=self.stage_info,
-                camera_info=self.camera_info,
-                settings=self.settings,
-                lane=self.lane,
-                scan=self.scan,
-            )
+        self._status.send(self.current_status(now_ns))
+
+    def current_status(self, now_ns: int) -> Status:
+        """The rig as it is now."""
+        return self.board.status(
+            now_ns,
+            stage=self.rig.stage.status(),
+            stage_info=self.stage_info,
+            camera_info=self.camera_info,
+            settings=self.settings,
+            lane=self.lane,
+            scan=self.scan,
         )
 
     def _publish_last(self) -> None:

@@ -60,6 +60,12 @@ class Desk:
         stage = daemon.rig.stage.status()
         if not stage.position_trusted:
             raise CommandRefusedError("cannot start a scan: the stage's position is not trusted; home it first")
+        mode = request.mode or daemon.config.rig.sweep.mode
+        if mode not in daemon.stage_info.modes:
+            possible = " or ".join(daemon.stage_info.modes)
+            raise CommandRefusedError(
+                f"the {daemon.stage_info.kind} stage sweeps in {possible} mode, not in {mode} mode"
+            )
         prepared = prepare_scan(
             request, daemon.config, daemon.rig, daemon.camera_info.format, daemon.settings, stage.zero_id
         )
@@ -98,7 +104,7 @@ class Desk:
         return {"stopping": "stage"}
 
     def _status(self, request: NoArguments) -> Result:
-        fields: Result = msgspec.to_builtins(self._daemon.board.last)
+        fields: Result = msgspec.to_builtins(self._daemon.current_status(self._daemon.clock.now_ns()))
         return fields
 
     # ---- the stage, the lamp, the camera ----

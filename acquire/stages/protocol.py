@@ -38,6 +38,8 @@ class StageInfo(msgspec.Struct, frozen=True):
     """False: the driver cannot prove that a trigger was fired; the report says so."""
     counts_strobes: bool = False
     has_limit_switch: bool = False
+    modes: tuple[str, ...] = ("step",)
+    """Sweep modes that the controller can run."""
 
 
 class Triggered(msgspec.Struct, frozen=True):
