@@ -5,20 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from process.compiled import inlined_kernel, kernel
 from process.vector_blocks import BLOCK, higher_than, lowest_bit
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _take(pixel, grey, frame, highest, colour, shift):
     highest[pixel] = grey[pixel]
     for channel in range(3):
         colour[pixel, channel] = frame[pixel, channel] >> shift
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def take_new_maxima(grey, frame, highest, colour, shift):
     """Where grey [pixels] is above highest [pixels]: take it, and frame [pixels, 3] as 8 bit into colour."""
     whole = grey.size - grey.size % BLOCK

@@ -8,11 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from process.fold_kernels import NEVER, NO_DIP
+from process.compiled import inlined_kernel, kernel
 from process.quality import Quality
+from process.tiles import NEVER, NO_DIP
 
 GAUSS = 2.5066
 """sqrt(2 pi): an erf edge of standard deviation w and height A has the slope A / (GAUSS w)."""
@@ -47,7 +47,7 @@ class Samples(NamedTuple):
     """Largest rise above the running lowest value from the first maximum on."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_columns(columns, samples):
     """Fill samples from the whole sequence of some pixels: columns [frames, pixels], folded signal."""
     frames, pixels = columns.shape
@@ -80,7 +80,7 @@ def sample_columns(columns, samples):
         samples.tail_dip[pixel], samples.tail_rise[pixel] = dip, rise
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _edge_quality(low, high, width, crossing, from_last_maximum, first, last):
     bits = 0
     if from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
@@ -90,7 +90,7 @@ def _edge_quality(low, high, width, crossing, from_last_maximum, first, last):
     return bits
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def estimate_linear(selected, samples, present, noise, crossing, sigma, quality):
     """Linear crossing (frame index), sigma (frames) and quality of the selected pixels.
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 from process.crossing_kernels import Samples, estimate_linear, sample_columns
-from process.fold_kernels import UNKNOWN
 from process.quality import Quality
+from process.tiles import UNKNOWN
 
 Edge: TypeAlias = Literal["rising", "falling"]
 ReadColumns: TypeAlias = Callable[[NDArray[np.intp]], tuple[NDArray[Any], NDArray[Any]]]

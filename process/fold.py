@@ -24,7 +24,10 @@ from process.crossings import (
     full_scale,
     make_maps,
 )
-from process.fold_kernels import (
+from process.fold_kernels import fold_frames, start_state
+from process.recent import RecentFrames
+from process.record_log import find_crossings
+from process.tiles import (
     MAX_FRAMES,
     MAXIMUM,
     MINIMUM,
@@ -34,11 +37,8 @@ from process.fold_kernels import (
     TILE,
     Found,
     Log,
-    find_crossings,
-    fold_frames,
-    start_state,
+    aligned_zeros,
 )
-from process.recent import RecentFrames, aligned_zeros
 
 __all__ = ["Fold", "Maps", "level_type", "to_grey", "warm_up"]
 
@@ -118,7 +118,7 @@ class Fold:
             where=aligned_zeros((tiles, records * TILE), np.uint32),
             levels=aligned_zeros((tiles, records * TILE, 3), self._dtype),
             waiting=np.zeros(tiles, np.int64),
-            lost_low=aligned_zeros((tiles * TILE,), self._dtype),
+            lost_low=aligned_zeros((tiles, TILE), self._dtype),
         )
         self._colour: ColourOfMaximum | None = None
         self._present: list[int] = []

@@ -8,16 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from process.fold_kernels import TILE
-
-
-def aligned_zeros(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """Zeros on a cache line, every page touched now: the first frames must not pay for it."""
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    raw = np.empty(size + 64, np.uint8)
-    raw[:] = 0
-    start = -raw.ctypes.data % 64
-    return raw[start : start + size].view(dtype).reshape(shape)
+from process.tiles import TILE, aligned_zeros
 
 
 def _writable(flat: NDArray[Any]) -> NDArray[Any]:
