@@ -27,8 +27,12 @@ def kernel(function: Compiled) -> Compiled:
     """Compile with numba, without the GIL, cached beside the source.
 
     Numba's cache notices a change of the function's own file only: a kernel that calls one of another module would
-    keep the old one for ever. So the whole package's digest takes the place of the file's.
+    keep the old one for ever. So the whole package's digest takes the place of the file's. Where no folder can be
+    written (a locked-down service), kernels are compiled in each process.
     """
-    dispatcher: Any = njit(cache=True, nogil=True)(function)
+    try:
+        dispatcher: Any = njit(cache=True, nogil=True)(function)
+    except RuntimeError:
+        return cast(Compiled, njit(nogil=True)(function))
     dispatcher._cache._cache_file._source_stamp = SOURCES_DIGEST
     return cast(Compiled, dispatcher)

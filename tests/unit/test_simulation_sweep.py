@@ -46,6 +46,14 @@ def intersect(calibration, crossing, position_um):
     return (origin + scale[:, None] * rays).reshape(*crossing.shape, 3)
 
 
+def test_the_true_crossing_is_the_one_that_is_found_without_noise():
+    scene = scene_of(object="wedge", **NOISELESS)
+    exact = truth(scene, **SWEEP)
+    wrong = (crossings(scene, **SWEEP) - exact.crossing)[(exact.visible == 1) & (exact.amplitude >= 70)]
+    assert abs(np.mean(wrong)) < 0.03
+    assert np.abs(wrong).max() < 0.3
+
+
 def errors_um(scene):
     """Distance from the truth of each visible pixel over the contrast, NaN where no crossing was found."""
     found, exact = crossings(scene, **SWEEP), truth(scene, **SWEEP)
