@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+from textual import events
 from textual.app import App
 from textual.binding import Binding
 from textual.message import Message
@@ -28,6 +29,8 @@ from tui.screens.dialogs import AskName, ConfirmQuit, Help
 from tui.screens.rig import RigScreen
 from tui.widgets.log_pane import local_time
 from tui.words import MOVING_STATES, is_running, newest_fault, outcome_line, position_words, scan_name, state_words
+
+STOP_KEY = "space"
 
 
 class Link(Protocol):
@@ -52,8 +55,6 @@ class ConsoleApp(App[None]):
 
     ENABLE_COMMAND_PALETTE = False
     BINDINGS = [
-        # priority: handled before whatever has the focus, in every screen and dialog
-        Binding("space", "stop", "STOP", priority=True),
         Binding("s", "start", "start"),
         Binding("p", "pause", "pause"),
         Binding("r", "resume", "resume"),
@@ -192,6 +193,13 @@ class ConsoleApp(App[None]):
             self.say(f"stopped at {position_words(status)}")
 
     # ---- keys ----
+
+    async def on_event(self, event: events.Event) -> None:
+        """STOP before anything else sees the key: Textual's priority bindings give way to a field that takes text."""
+        if isinstance(event, events.Key) and event.key == STOP_KEY and not event.is_forwarded:
+            self.action_stop()
+            return
+        await super().on_event(event)
 
     def action_stop(self) -> None:
         """End all motion."""

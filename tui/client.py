@@ -14,7 +14,7 @@ import zmq
 
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ProtocolError
 from acquire.contract.lanes import Sender, connect, receive
-from acquire.contract.messages import Command, Message, Reply, Status
+from acquire.contract.messages import Command, Message, Reply, ResultProgress, Status
 
 
 def somebody_listens(run_dir: Path, lane: str = "command") -> bool:
@@ -125,6 +125,26 @@ class RigClient:
             if status is not None and wanted(status):
                 return status
         return None
+
+
+class ProgressFeed:
+    """The worker's newest progress, for a process that prints it now and then; use it in one thread."""
+
+    def __init__(self, run_dir: Path) -> None:
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = connect(self._context, zmq.SUB, run_dir, "results")
+        self._newest: ResultProgress | None = None
+
+    def newest(self) -> ResultProgress | None:
+        """What was heard last; None if nothing was. Never waits."""
+        while self._socket.poll(0):
+            message = _next_message(self._socket, 0)
+            self._newest = message if isinstance(message, ResultProgress) else self._newest
+        return self._newest
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._context.destroy(linger=0)
 
 
 def _next_message(source: zmq.Socket[Any], timeout_s: float) -> Message | None:

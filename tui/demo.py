@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from acquire.contract.errors import EXIT_FAILED, NoServiceError, SweepscopeError
 from acquire.contract.messages import Status
 from acquire.contract.states import State
-from tui.client import RigClient, somebody_listens
+from tui.client import ProgressFeed, RigClient, somebody_listens
 from tui.demo_report import Verdict, is_final, read_report
 from tui.demo_rig import DemoOptions, DemoRig
 from tui.follow import Narrator, follow_scan
@@ -123,13 +123,17 @@ def run_demo(options: DemoOptions) -> int:
 def _run_headless(options: DemoOptions) -> int:
     wake = threading.Event()
     with signals_set(wake) as came, DemoRig(options, _complain) as rig:
-        demonstration = Demonstration(rig, say, Narrator(say).hear)
+        narrator, feed = Narrator(say), ProgressFeed(rig.run_dir)
+        narrator.progress = feed.newest
+        demonstration = Demonstration(rig, say, narrator.hear)
         demonstration.cancelled = wake
         try:
             verdict = demonstration.run()
         except CancelledError as error:
             _complain(str(error))
             return 128 + int(came[0]) if came else EXIT_FAILED
+        finally:
+            feed.close()
     _show(verdict, demonstration.url)
     return verdict.exit_status
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, NoServiceError, SweepscopeError
-from acquire.contract.messages import Status
+from acquire.contract.messages import ResultProgress, Status
 from acquire.contract.states import Outcome
 from tui.client import RigClient
 from tui.words import RUNNING_STATES, progress_line
@@ -19,6 +19,7 @@ class Narrator:
     """Says a scan's progress at most every few seconds, and at once when the state changes."""
 
     def __init__(self, say: Callable[[str], None], every_s: float = SAY_EVERY_S) -> None:
+        self.progress: Callable[[], ResultProgress | None] = lambda: None
         self._say = say
         self._every_s = every_s
         self._said_at_s = float("-inf")
@@ -30,7 +31,7 @@ class Narrator:
         if status.state == self._state and now_s - self._said_at_s < self._every_s:
             return
         self._state, self._said_at_s = status.state, now_s
-        self._say(progress_line(status))
+        self._say(progress_line(status, self.progress()))
 
 
 def has_ended(status: Status, scan_uid: str) -> bool:

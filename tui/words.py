@@ -115,11 +115,13 @@ def newest_fault(faults: Sequence[FaultReport]) -> FaultReport | None:
     return max(waiting, key=lambda fault: fault.at_mono_ns) if waiting else None
 
 
-def progress_line(status: Status) -> str:
-    """One line for a log: state, frames, rate, remaining time."""
+def progress_line(status: Status, progress: ResultProgress | None = None) -> str:
+    """One line for a log: state, frames, rate, remaining time, and points where the worker was heard."""
     percent = f"{100 * fraction_done(status):.0f} %"
+    found = progress.points_settled + progress.points_provisional if progress else 0
+    points = f"  {found} points" if found else ""
     rate = f"  {rate_words(status)}" if status.state == State.SWEEPING and status.rate_hz else ""
-    return f"{state_words(status):<12} {status.committed}/{status.expected} frames  {percent:>5}{rate}"
+    return f"{state_words(status):<12} {status.committed}/{status.expected} frames  {percent:>5}{rate}{points}"
 
 
 def status_lines(status: Status) -> list[str]:

@@ -179,8 +179,8 @@ class FakeDaemon:
             return
         done = min(status.expected, status.committed + self._frames_per_tick)
         self._set(
-            triggered=done, received=done, committed=done, durable=done // 64 * 64, rate_hz=20.0 * self._frames_per_tick,
-            eta_s=(status.expected - done) / (20.0 * self._frames_per_tick), position_steps=3 * done,
+            triggered=done, received=done, committed=done, durable=done // 64 * 64, position_steps=3 * done,
+            rate_hz=20.0 * self._frames_per_tick, eta_s=(status.expected - done) / (20.0 * self._frames_per_tick),
             position_um=9.525 * done,
         )  # fmt: skip
         if done == status.expected:

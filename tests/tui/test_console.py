@@ -1,0 +1,342 @@
+"""The console with a connection that the test plays."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import msgspec
+
+from acquire.contract.messages import FaultReport, ResultEnd
+from acquire.contract.states import HoldReason, Outcome, State
+from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
+from tests.fakes.fake_link import FakeLink
+from tui.app import ConsoleApp
+from tui.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, ResultsOnDisk, StatusArrived
+from tui.screens.dialogs import AskName, ConfirmQuit, Help, valid_name
+from tui.widgets.panes import FaultBanner, KeyLine, StatePane, SweepPane, TitleLine
+
+URL = "http://127.0.0.1:8080/?token=secret"
+FAULT = FaultReport(
+    code="F03", happened="the writer is lost", safe="410 of 527 frames are saved", to_do="nothing", at_mono_ns=7
+)
+
+
+def drive(script: Callable[[Stage], Awaitable[None]], *, size=(80, 24), owns_rig=False, ascii_only=False) -> None:
+    """Run the console without a terminal and play ``script``."""
+
+    async def play() -> None:
+        app = ConsoleApp(FakeLink, owns_rig=owns_rig, ascii_only=ascii_only, clock=lambda: "12:00:00")
+        async with app.run_test(size=size) as pilot:
+            await script(Stage(app, pilot))
+
+    asyncio.run(asyncio.wait_for(play(), 20))
+
+
+class Stage:
+    """A running console, what it sent, and what it shows."""
+
+    def __init__(self, app: ConsoleApp, pilot) -> None:
+        self.app, self.pilot = app, pilot
+        self.link: FakeLink = app._link  # type: ignore[assignment]
+
+    async def hear(self, *messages) -> None:
+        for message in messages:
+            self.app.post_message(message)
+        await self.pilot.pause()
+
+    async def connect(self, status=IDLE) -> None:
+        await self.hear(LinkChanged(True, "/run/x"), StatusArrived(status))
+
+    async def press(self, *keys: str) -> None:
+        await self.pilot.press(*keys)
+        await self.pilot.pause()
+
+    def shown(self, pane) -> str:
+        return self.app._rig.query_one(pane).plain
+
+    @property
+    def log(self) -> str:
+        return "\n".join(self.app._rig.log_pane.said)
+
+
+def replace(status, **changes):
+    return msgspec.structs.replace(status, **changes)
+
+
+def test_before_anything_is_heard_the_console_says_that_it_is_not_connected():
+    async def script(stage):
+        assert "NOT CONNECTED - RETRYING" in stage.shown(StatePane)
+        assert stage.link.started
+
+    drive(script)
+
+
+def test_state_position_counts_and_rate_are_shown():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.hear(ProgressArrived(PROGRESS), PageKnown(URL))
+        assert "SWEEPING" in stage.shown(StatePane)
+        assert "3 924.3 um  1236 microsteps  trusted" in stage.shown(StatePane)
+        sweep = stage.shown(SweepPane)
+        for words in ("413", "412", "410", "384", "410/527  78 %", "14.8 frames/s", "0:00:08", "credit 105 of 108"):
+            assert words in sweep
+        assert "worker 3 frames behind  48213 points settled, 2911 provisional" in sweep
+        assert URL in stage.shown(TitleLine)
+
+    drive(script)
+
+
+def test_a_lost_daemon_is_said_and_the_last_known_state_is_marked_as_that():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.hear(LinkChanged(False, "no rig daemon is heard"))
+        assert "last known: SWEEPING" in stage.shown(StatePane)
+        assert "not connected - retrying" in stage.shown(TitleLine)
+
+    drive(script)
+
+
+def test_start_asks_for_a_name_with_the_last_one_as_default():
+    async def script(stage):
+        await stage.connect(replace(IDLE, scan_path="/data/20260101T120000Z-left-ear", outcome=Outcome.COMPLETE))
+        await stage.press("s")
+        assert isinstance(stage.app.screen, AskName)
+        await stage.press("enter")
+        assert stage.link.sent == [("scan", {"name": "left-ear"})]
+
+    drive(script)
+
+
+def test_a_typed_name_replaces_the_default():
+    async def script(stage):
+        await stage.connect()
+        await stage.press("s", *"ear2", "enter")
+        assert stage.link.sent == [("scan", {"name": "ear2"})]
+
+    drive(script)
+
+
+def test_escape_starts_nothing():
+    async def script(stage):
+        await stage.connect()
+        await stage.press("s", "escape")
+        assert stage.link.sent == []
+
+    drive(script)
+
+
+def test_a_name_with_a_slash_is_refused_and_the_question_stays():
+    async def script(stage):
+        await stage.connect()
+        await stage.press("s", "a", "slash", "b", "enter")
+        assert isinstance(stage.app.screen, AskName)
+        assert stage.link.sent == []
+
+    drive(script)
+    assert not valid_name("../x") and not valid_name("") and not valid_name("a b") and valid_name("Ear_2.b-c")
+
+
+def test_start_while_a_sweep_runs_is_explained_and_not_sent():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("s")
+        assert stage.link.sent == []
+        assert "start: not while the rig is SWEEPING" in stage.log
+
+    drive(script)
+
+
+def test_pause_and_resume_are_sent_in_their_states():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("p")
+        await stage.hear(StatusArrived(replace(SWEEPING, state=State.HOLDING, hold_reason=HoldReason.PAUSED)))
+        assert "HOLDING (paused)" in stage.shown(StatePane)
+        await stage.press("r")
+        assert [name for name, _ in stage.link.sent] == ["pause", "resume"]
+
+    drive(script)
+
+
+def test_space_stops_from_the_main_screen_from_an_input_and_from_every_dialog():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("space")
+        await stage.press("question_mark")
+        assert isinstance(stage.app.screen, Help)
+        await stage.press("space", "escape", "q")
+        assert isinstance(stage.app.screen, ConfirmQuit)
+        await stage.press("space", "n")
+        await stage.hear(StatusArrived(IDLE))
+        await stage.press("s")
+        assert isinstance(stage.app.screen, AskName)
+        await stage.press("space")
+        assert [name for name, _ in stage.link.sent] == ["stop"] * 4
+
+    drive(script, owns_rig=True)
+
+
+def test_space_stops_even_when_nothing_is_known_of_the_rig():
+    async def script(stage):
+        await stage.press("space")
+        assert stage.link.sent == [("stop", {})]
+
+    drive(script)
+
+
+def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_it():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("space")
+        assert "STOP sent" in stage.shown(StatePane)
+        await stage.hear(StatusArrived(replace(IDLE, sent_mono_ns=50)))
+        assert "stopped at" not in stage.log
+        await stage.hear(CommandAnswered("stop", True, "", at_mono_ns=100))
+        await stage.hear(StatusArrived(replace(IDLE, sent_mono_ns=99)))
+        assert "stopped at" not in stage.log
+        await stage.hear(StatusArrived(replace(IDLE, sent_mono_ns=101, position_steps=1236)))
+        assert "stopped at" in stage.log and "1236 microsteps" in stage.log
+        assert "STOP" not in stage.shown(StatePane)
+
+    drive(script)
+
+
+def test_a_stop_that_nobody_answered_is_called_not_confirmed():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("space")
+        await stage.hear(CommandAnswered("stop", False, "no answer", at_mono_ns=100))
+        assert "STOP NOT CONFIRMED" in stage.shown(StatePane)
+
+    drive(script)
+
+
+def test_a_refused_command_is_shown_with_the_daemons_reason():
+    async def script(stage):
+        await stage.connect()
+        await stage.hear(CommandAnswered("scan", False, "the disk is full: 3.0 GB are needed"))
+        assert "scan: the disk is full: 3.0 GB are needed" in stage.log
+
+    drive(script)
+
+
+def test_a_fault_is_a_banner_until_it_is_acknowledged_and_stays_in_the_log():
+    async def script(stage):
+        await stage.connect(replace(SWEEPING, faults=[FAULT]))
+        banner = stage.shown(FaultBanner)
+        for words in ("F03", "the writer is lost", "410 of 527 frames are saved", "nothing"):
+            assert words in banner
+        assert stage.app._rig.query_one(FaultBanner).display
+        await stage.press("a")
+        assert stage.link.sent == [("acknowledge", {"code": "F03"})]
+        await stage.hear(StatusArrived(replace(SWEEPING, faults=[replace(FAULT, acknowledged=True)])))
+        assert not stage.app._rig.query_one(FaultBanner).display
+        assert "F03 the writer is lost" in stage.log
+
+    drive(script)
+
+
+def test_the_same_fault_is_logged_once_however_often_it_is_repeated():
+    async def script(stage):
+        for _ in range(5):
+            await stage.connect(replace(SWEEPING, faults=[FAULT]))
+        assert stage.log.count("F03") == 1
+
+    drive(script)
+
+
+def test_quitting_a_console_that_owns_the_rig_asks_while_a_sweep_runs():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("q")
+        assert isinstance(stage.app.screen, ConfirmQuit)
+        await stage.press("n")
+        assert stage.app.is_running and not isinstance(stage.app.screen, ConfirmQuit)
+
+    drive(script, owns_rig=True)
+
+
+def test_an_answer_typed_before_the_question_could_be_read_does_not_count():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("q", "y")
+        assert isinstance(stage.app.screen, ConfirmQuit)
+
+    drive(script, owns_rig=True)
+
+
+def test_quitting_a_plain_console_never_asks():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("q")
+        assert stage.app._exit
+
+    drive(script)
+
+
+def test_saved_appears_when_the_sealed_scan_lacks_nothing():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        assert "SAVED" not in stage.shown(SweepPane)
+        done = {"committed": 527, "durable": 527, "outcome": Outcome.COMPLETE}
+        await stage.hear(StatusArrived(replace(SWEEPING, state=State.FINISHING, **done)))
+        assert "SAVED" not in stage.shown(SweepPane) + stage.log
+        await stage.hear(StatusArrived(replace(SWEEPING, state=State.IDLE, **done)))
+        assert "SAVED: 527 of 527 frames are safe" in stage.shown(SweepPane)
+        assert "SAVED: 527 of 527 frames are safe" in stage.log
+
+    drive(script)
+
+
+def test_a_cloud_on_disk_is_told_with_its_path():
+    async def script(stage):
+        end = ResultEnd(version=1, outcome="complete", folded_through=526, points=51_124, cloud_path="/d/cloud.ply")
+        await stage.hear(ResultsOnDisk(end))
+        assert "51124 points in /d/cloud.ply" in stage.log
+
+    drive(script)
+
+
+def test_the_key_line_offers_what_can_be_done_now_and_always_stop():
+    async def script(stage):
+        assert "SPACE = STOP" in stage.shown(KeyLine) and "start" not in stage.shown(KeyLine)
+        await stage.connect()
+        assert "s start" in stage.shown(KeyLine)
+        await stage.hear(StatusArrived(SWEEPING))
+        assert "p pause" in stage.shown(KeyLine) and "s start" not in stage.shown(KeyLine)
+
+    drive(script)
+
+
+def test_a_terminal_that_is_too_small_says_so_and_stop_still_works():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.pilot.resize_terminal(50, 15)
+        await stage.pilot.pause()
+        assert stage.app._rig.has_class("small")
+        await stage.press("space")
+        assert stage.link.sent == [("stop", {})]
+
+    drive(script)
+
+
+def test_an_ascii_console_shows_ascii_only_in_its_panes():
+    async def script(stage):
+        await stage.connect(replace(SWEEPING, faults=[FAULT]))
+        for pane in (StatePane, SweepPane, FaultBanner, TitleLine, KeyLine):
+            assert stage.shown(pane).isascii()
+
+    drive(script, ascii_only=True)
+
+
+def test_leaving_closes_the_connection():
+    async def script(stage):
+        link = stage.link
+        await stage.press("q")
+        await stage.pilot.pause()
+        links.append(link)
+
+    links: list[FakeLink] = []
+    drive(script)
+    assert links[0].closed
