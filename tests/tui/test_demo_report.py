@@ -1,0 +1,95 @@
+"""The demonstration's verdict on its own scan."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import pytest
+
+from acquire.contract.errors import ConfigError, ScanFileError
+from acquire.contract.states import Outcome, State
+from tests.fakes.fake_daemon import SWEEPING
+from tui.demo_report import Verdict, is_final, read_report
+from tui.demo_rig import DemoOptions, DemoRig
+
+SAVED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
+TRUTH = {
+    "median_um": 0.44, "rms_um": 14.5, "p95_um": 1.22, "share": 0.999, "visible_over_contrast": 71_601,
+}  # fmt: skip
+
+
+def verdict(status=SAVED, **truth) -> Verdict:
+    return Verdict(status, {"outcome": "complete", "counts": {"points": 73_177}, "truth": {**TRUTH, **truth}})
+
+
+def test_a_complete_scan_near_the_truth_succeeds():
+    assert verdict().failures == []
+    assert verdict().exit_status == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("share", 0.899), ("median_um", 3.0), ("share", None), ("median_um", None)]
+)
+def test_too_few_points_or_too_large_an_error_fail(name, value):
+    found = verdict(**{name: value})
+    assert found.failures and found.exit_status == 1
+    assert any("FAILED" in line for line in found.lines(""))
+
+
+def test_a_report_without_truth_fails():
+    assert Verdict(SAVED, {"counts": {}, "truth": None}).exit_status == 1
+
+
+def test_a_scan_that_lacks_frames_is_incomplete_whatever_its_points():
+    stopped = msgspec.structs.replace(SAVED, outcome=Outcome.STOPPED, committed=400, missing=127)
+    assert verdict(stopped).exit_status == 4
+
+
+def test_the_summary_has_points_error_timings_and_the_address():
+    text = "\n".join(verdict().lines("http://127.0.0.1:1/?token=x"))
+    for words in ("SAVED", "73177", "99.9 %", "median 0.44 um", "sweep 27.6 s", "http://127.0.0.1:1/?token=x"):
+        assert words in text
+
+
+def test_a_report_is_final_when_it_has_the_outcome_and_the_truth():
+    assert not is_final(None, "complete")
+    assert not is_final({"outcome": "running", "truth": {}}, "complete")
+    assert not is_final({"outcome": "complete", "truth": None}, "complete")
+    assert is_final({"outcome": "complete", "truth": {}}, "complete")
+
+
+def test_a_damaged_report_is_told_by_its_path(tmp_path):
+    assert read_report(tmp_path) is None
+    (tmp_path / "report.json").write_text("{")
+    with pytest.raises(ScanFileError, match=r"report\.json"):
+        read_report(tmp_path)
+    (tmp_path / "report.json").write_text(json.dumps([1]))
+    with pytest.raises(ScanFileError, match="no report"):
+        read_report(tmp_path)
+
+
+def test_the_demonstration_reads_no_configuration_of_this_machine(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.toml").write_text('[stage]\nkind = "uno"\n')
+    monkeypatch.setenv("SWEEPSCOPE_CAMERA__KIND", "genicam")
+    rig = DemoRig(DemoOptions(size=(256, 192), frames=100, data_dir=tmp_path / "d"), print)
+    try:
+        loaded = rig.config.rig
+        assert (loaded.stage.kind, loaded.camera.kind, loaded.viewer.port) == ("simulated", "simulated", 0)
+        assert (loaded.camera.width, loaded.camera.height) == (256, 192)
+        assert loaded.sweep.last_steps // loaded.sweep.steps_per_frame + 1 == 100
+        assert not [name for name in rig.supervisor.environ if name.startswith("SWEEPSCOPE_CAMERA")]
+    finally:
+        import shutil
+
+        shutil.rmtree(rig.run_dir)
+
+
+def test_a_setting_out_of_bounds_leaves_no_directory(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "t"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    (tmp_path / "t").mkdir()
+    with pytest.raises(ConfigError, match="camera.width"):
+        DemoRig(DemoOptions(size=(1, 1), data_dir=tmp_path / "d"), print)
+    assert list((tmp_path / "t").iterdir()) == []
