@@ -95,13 +95,13 @@ class FoldCursor:
         self._drain()
         return True
 
-    def fill(self, file: FrameFile, *, limit: int, ended: bool = False) -> int:
+    def fill(self, file: FrameFile, *, limit: int, never: NDArray[np.bool_] | None = None) -> int:
         """Fold up to ``limit`` frames from the file, and live frames that follow them.
 
         Args:
             file: the scan.
             limit: bound on the frames read in this call, so that a caller can look at its sockets in between.
-            ended: True if no frame will be committed any more: what is missing is skipped.
+            never: frames that will not be committed any more, [n]; they are skipped while they are missing.
 
         Returns:
             Number of frames read.
@@ -111,7 +111,7 @@ class FoldCursor:
         while read < limit and not self.done:
             frame_index = self.next_index
             if not usable[frame_index]:
-                if not ended:
+                if never is None or not never[frame_index]:
                     break
                 self.next_index += 1
                 continue

@@ -39,7 +39,7 @@ class ScanFrames:
         Raises:
             ScanFileError: as ``ScanReader``.
         """
-        self._reader = ScanReader(scan)
+        self._reader = _open(scan)
         self.damaged: set[int] = set()
         """Frames whose stored pixels do not have their checksum; they are treated as missing."""
 
@@ -110,11 +110,19 @@ class ScanFrames:
         return found
 
 
+def _open(scan: Path) -> ScanReader:
+    """A reader; the writer may give the file its last name between two looks at it."""
+    try:
+        return ScanReader(scan)
+    except FileNotFoundError:
+        return ScanReader(scan)
+
+
 def open_frames(scan: Path, scan_uid: str) -> ScanFrames | None:
     """The frames of the scan with this uid; None while its file is not there or is another scan's."""
     try:
         frames = ScanFrames(scan)
-    except ScanFileError:
+    except (ScanFileError, OSError):
         return None
     if frames.layout.scan_uid != scan_uid:
         frames.close()

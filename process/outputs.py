@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from .cursor import CursorCounts, FoldCursor
 from .fold import Fold
 from .frames import ScanFrames
 from .geometry import coordinates, plane_table, rays
+from .quality import Quality
 from .report import (
     Report,
     SweepChecks,
@@ -32,6 +34,11 @@ from .report import (
 )
 from .results import MapsSource, write_maps
 from .settings import Settings
+
+logger = logging.getLogger(__name__)
+
+_BITS = {name: f"quality_{name}" for name in (str(bit.name).lower() for bit in Quality)}
+"""The fold's names of pixels by quality bit -> those in the report, where ``from_file`` already means frames."""
 
 
 @dataclass(frozen=True)
@@ -161,6 +168,29 @@ def write_results(
     return Results(paths, cloud, report)
 
 
+def refresh_report(
+    results: Results, frames: ScanFrames, settings: Settings, outcome: str, checks: SweepChecks
+) -> Report:
+    """Write the report again with what became known since: how the scan ended, its digest, the truth.
+
+    Raises:
+        ResultWriteError: the folder cannot be written to.
+    """
+    old = results.report
+    known = counts(frames.status(), CursorCounts(), {}, results.cloud)
+    report = msgspec.structs.replace(
+        old,
+        counts=old.counts | {key: known[key] for key in ("committed", "missing", "retaken")},
+        outcome=outcome,
+        digest=frames.digest(),
+        sweep=checks,
+        truth=old.truth or _truth(frames, results.cloud, settings),
+    )
+    if report != old:
+        write_report(results.paths.report, report)
+    return report
+
+
 def counts(
     status: NDArray[np.uint8], cursor: CursorCounts, maps: dict[str, int], cloud: Cloud | None
 ) -> dict[str, int]:
@@ -175,7 +205,7 @@ def counts(
         "from_live": cursor.from_live,
         "from_file": cursor.from_file,
         "refolded": cursor.refolded,
-        **maps,
+        **{_BITS.get(key, key): number for key, number in maps.items()},
     }
 
 
@@ -201,4 +231,8 @@ def _truth(frames: ScanFrames, cloud: Cloud | None, settings: Settings) -> Any:
     path = frames.layout.path.parent / TRUTH_NAME
     if cloud is None or not path.is_file():
         return None
-    return truth_errors(path, cloud, settings.contrast)
+    try:
+        return truth_errors(path, cloud, settings.contrast)
+    except ScanFileError as error:
+        logger.warning("%s", error)  # the simulation may still be writing it
+        return None

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.outcome import outcome_words
 from acquire.contract.scan_reader import ScanLayout
@@ -58,9 +60,10 @@ def reconstruct(scan: Path, options: ReconstructOptions, progress: Progress | No
         settings = settle(recorded_in(layout), options)
         folder = _folder(options.out, layout.path)
         cursor = FoldCursor(lambda: new_fold(settings, layout.format, layout.count), layout.count, 0)
+        never = np.ones(layout.count, np.bool_)
         with timings.stage("fold"):
             while not cursor.done:
-                cursor.fill(frames, limit=_AT_ONCE, ended=True)
+                cursor.fill(frames, limit=_AT_ONCE, never=never)
                 if progress is not None:
                     progress(cursor.next_index, cursor.count)
         outcome = frames.outcome

@@ -61,13 +61,11 @@ class TruthErrors(msgspec.Struct, frozen=True):
     """reconstructed / visible_over_contrast."""
 
 
-class Report(msgspec.Struct, frozen=True):
+class Report(msgspec.Struct, frozen=True, kw_only=True):
     """report.json."""
 
     counts: dict[str, int]
     timings_s: dict[str, float]
-    contrast_histogram: list[int]
-    """Pixels by brightness range max - min in counts of 8 bit, 256 bins."""
     speed: Speed
     outcome: str
     digest: str
@@ -77,6 +75,8 @@ class Report(msgspec.Struct, frozen=True):
     settings: dict[str, Any]
     versions: dict[str, str]
     truth: TruthErrors | None = None
+    contrast_histogram: list[int]
+    """Pixels by brightness range max - min in counts of 8 bit, 256 bins."""
 
 
 def write_report(path: Path, report: Report) -> None:

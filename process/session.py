@@ -1,0 +1,304 @@
+"""Owns one scan in the worker: what was announced, the cursor, the previews, the results. No sockets in here."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.clocks import Clock, MonotonicClock
+from acquire.contract.messages import End, FrameRange, Image, ResultProgress, Status
+from acquire.contract.outcome import frame_crc32
+from acquire.contract.states import SEALED_OUTCOMES, Outcome
+from acquire.contract.units import NS_PER_MS
+
+from .announced import Announced, check_memory, live_settings
+from .cursor import FoldCursor
+from .frames import ScanFrames, displayed, open_frames
+from .geometry import rays
+from .outputs import Results, Timings, new_fold, refresh_report, write_results
+from .preview import Preview, ShownCounts, make_preview
+from .report import SweepChecks, checks_of
+
+logger = logging.getLogger(__name__)
+
+BUFFER_BYTES = 64_000_000
+"""Live frames that may wait for a gap to be filled."""
+SILENT_NS = 250 * NS_PER_MS
+"""After so long without a frame the file is asked whether one was lost on the live lane."""
+FILE_FRAMES_AT_ONCE = 8
+"""Frames read from the file before the sockets are looked at again: at most some 20 ms."""
+
+
+@dataclass
+class LiveCounts:
+    """Live frames that were not folded, by reason."""
+
+    foreign: int = 0
+    malformed: int = 0
+    wrong_crc: int = 0
+    raised: int = 0
+
+
+@dataclass
+class _Ending:
+    """What is known about the end of the scan."""
+
+    outcome: str = Outcome.RUNNING.value
+    missing: list[FrameRange] = field(default_factory=list)
+    checks: SweepChecks = field(default_factory=SweepChecks)
+
+
+class ScanSession:
+    """Folds one scan, from the live lane and from its file, in whatever order they come."""
+
+    def __init__(self, announced: Announced, fold_bytes: int, clock: Clock | None = None) -> None:
+        """Take the memory of the fold.
+
+        Raises:
+            ScanRefusedError: the fold does not fit into ``fold_bytes``.
+        """
+        self.announced = announced
+        self.form = announced.recorded.format
+        self.settings = live_settings(announced.recorded)
+        check_memory(self.form, fold_bytes)
+        room = min(max(BUFFER_BYTES // self.form.nbytes, 4), 64)
+        self.cursor = FoldCursor(lambda: new_fold(self.settings, self.form, announced.count), announced.count, room)
+        self.live = LiveCounts()
+        self.timings = Timings()
+        self.results: Results | None = None
+        self.failure = ""
+        """Why there are no results, in words; empty while there is hope."""
+        self.end_said = False
+        """The end was told on the results lane."""
+        self.seconds_to_disk = 0.0
+        self.newest_live = -1
+        self._clock = clock or MonotonicClock()
+        self.last_frame_ns = self._clock.now_ns()
+        """When the newest frame was folded, CLOCK_MONOTONIC."""
+        self.shown = ShownCounts()
+        self._ending = _Ending()
+        self._frames: ScanFrames | None = None
+        self._position_um = announced.planned_positions_um
+        if self.settings.calibration and self.settings.light_plane:
+            rays(self.settings.calibration.camera)  # half a second that must not be spent after the last frame
+
+    @property
+    def folder(self) -> Path:
+        """The scan's folder."""
+        return self.announced.folder
+
+    def close(self) -> None:
+        """Close the scan file; idempotent."""
+        if self._frames is not None:
+            self._frames.close()
+            self._frames = None
+
+    # ---- what comes in ----
+
+    @property
+    def ended(self) -> bool:
+        """The rig has said how the scan ended."""
+        return self._ending.outcome in SEALED_OUTCOMES
+
+    @property
+    def outcome(self) -> str:
+        """As the rig said; ``running`` before."""
+        return self._ending.outcome
+
+    def take_image(self, image: Image, payload: memoryview) -> bool:
+        """Fold a live frame if it is whole and its turn has come; True if the fold went on."""
+        if image.role != "sweep" or image.scan_uid != self.announced.scan_uid:
+            self.live.foreign += image.role == "sweep"
+            return False
+        self.newest_live = max(self.newest_live, image.frame_index)
+        if not self._fits(image, payload):
+            self.live.malformed += 1
+            return False
+        if frame_crc32(payload) != image.crc32:
+            self.live.wrong_crc += 1
+            return False
+        pixels = np.frombuffer(payload, dtype=self.form.dtype).reshape(self.form.shape)
+        self._position_um[image.frame_index] = image.position_um
+        with self.timings.stage("fold_live"):
+            return self._offer(image.frame_index, image.crc32, displayed(pixels, self.form.pixel_format))
+
+    def take_end(self, end: End) -> None:
+        """The rig's account of the scan."""
+        self._ending = _Ending(end.outcome.value, list(end.missing), checks_of(end.checks))
+
+    def take_status(self, status: Status) -> None:
+        """Learn of an end whose message was lost on the live lane."""
+        if not self.ended and status.scan_uid == self.announced.scan_uid and status.outcome in SEALED_OUTCOMES:
+            self._ending = _Ending(status.outcome)
+
+    def _fits(self, image: Image, payload: memoryview) -> bool:
+        form = self.form
+        described = (tuple(image.shape), image.dtype, image.bit_depth, image.pixel_format)
+        expected = (form.shape, form.dtype, form.bit_depth, form.pixel_format)
+        return described == expected and payload.nbytes == form.nbytes and image.frame_index < self.announced.count
+
+    def _offer(self, frame_index: int, crc32: int, pixels: NDArray[np.generic]) -> bool:
+        try:
+            went_on = self.cursor.offer(frame_index, crc32, pixels)
+        except Exception:  # noqa: BLE001 - whatever a poisonous frame does, the file has the truth: fold it anew (F08)
+            logger.exception("frame %d could not be folded: folding the scan file again", frame_index)
+            self.live.raised += 1
+            self.cursor.restart()
+            return False
+        if went_on:
+            self.last_frame_ns = self._clock.now_ns()
+        return went_on
+
+    # ---- the file ----
+
+    @property
+    def behind(self) -> bool:
+        """Frames were taken that are not folded, and they will not come on the live lane."""
+        return not self.cursor.done and (self.ended or self._lag() > 0)
+
+    @property
+    def wants_file(self) -> bool:
+        """Time to look into the file: frames are known to be there, or the live lane has fallen silent."""
+        silent_ns = self._clock.now_ns() - self.last_frame_ns
+        return not self.cursor.done and (self.behind or silent_ns > SILENT_NS)
+
+    def catch_up(self) -> None:
+        """Take the frames that are in the file already from there (after a late start)."""
+        frames = self.frames()
+        if frames is not None:
+            self.newest_live = max(self.newest_live, int(frames.usable().sum()) - 1)
+
+    def fill(self) -> int:
+        """Fold a few frames from the file where the live lane left a gap; returns how many were read."""
+        frames = self.frames()
+        if frames is None or self.cursor.done:
+            return 0
+        before = self.cursor.next_index
+        with self.timings.stage("fold_file"):
+            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, never=self._never(frames))
+        if read:
+            self.last_frame_ns = self._clock.now_ns()
+            filled = slice(before, self.cursor.next_index)
+            known = frames.usable()[filled]
+            self._position_um[filled][known] = frames.positions_um()[filled][known]
+        return read
+
+    def frames(self) -> ScanFrames | None:
+        """The scan file; None while the writer has not made it."""
+        if self._frames is None:
+            self._frames = open_frames(self.announced.folder, self.announced.scan_uid)
+        return self._frames
+
+    def _never(self, frames: ScanFrames) -> NDArray[np.bool_] | None:
+        """Frames that will not come any more: those named missing, all that are missing in a sealed file."""
+        if not self.ended:
+            return None
+        if frames.outcome in SEALED_OUTCOMES:
+            return np.ones(self.announced.count, np.bool_)
+        never = np.zeros(self.announced.count, np.bool_)
+        for first, last in self._ending.missing:
+            never[first : last + 1] = True
+        return never
+
+    # ---- what goes out ----
+
+    def preview(self) -> Preview | None:
+        """The points now; None before the first frame."""
+        if not self.cursor.folded.any():
+            return None
+        preview = make_preview(self.cursor, self.settings, self._position_um)
+        self.shown = preview.counts
+        return preview
+
+    def progress(self, version: int) -> ResultProgress:
+        """How far the fold is, in numbers and words."""
+        counts = self.cursor.counts
+        return ResultProgress(
+            scan_uid=self.announced.scan_uid,
+            version=version,
+            folded_through=self.cursor.fold.folded_through,
+            expected=self.announced.count,
+            over_contrast=self.shown.over_contrast,
+            points_settled=self.shown.settled,
+            points_provisional=self.shown.provisional,
+            from_live=counts.from_live,
+            from_file=counts.from_file,
+            refolded=counts.refolded,
+            lag_frames=self._lag(),
+            message=self._words(),
+        )
+
+    def _lag(self) -> int:
+        return max(self.newest_live + 1 - self.cursor.next_index, 0)
+
+    def _words(self) -> str:
+        if self.failure:
+            return self.failure
+        if self.behind and self.frames() is None:
+            return "waiting for the writer to make the scan file"
+        if self.behind:
+            return f"reading frame {self.cursor.next_index} from the scan file"
+        return "; ".join([*self.settings.warnings, *filter(None, [self.settings.what_is_missing])])
+
+    # ---- the end ----
+
+    def ready_to_finish(self) -> bool:
+        """Every frame is folded or known to be missing, and those folded are in the file."""
+        if self.results is not None or self.failure or not self.cursor.done:
+            return False
+        frames = self.frames()
+        return frames is not None and (self.ended or bool(frames.usable().all()))
+
+    def finish(self) -> Results:
+        """Compare the fold with the file, fold again what differs, and write the results beside the scan file.
+
+        Raises:
+            ScanFileError, CalibrationError, ResultWriteError: as ``outputs.write_results``.
+        """
+        frames = self.frames()
+        assert frames is not None
+        with self.timings.stage("compare"):
+            different = self.cursor.differs_from(frames)
+        if different:
+            logger.warning(
+                "%d frames differ from the scan file (first: %d): folding anew", len(different), different[0]
+            )
+            self.cursor.restart()
+            everything = np.ones(self.announced.count, np.bool_)
+            with self.timings.stage("refold"):
+                self.cursor.fill(frames, limit=self.announced.count, never=everything)
+        self.results = write_results(
+            self.cursor,
+            frames,
+            self.settings,
+            frames.layout.path.parent,
+            outcome=self.outcome,
+            checks=self._ending.checks,
+            timings=self.timings,
+        )
+        counts = self.results.report.counts
+        self.shown = ShownCounts(counts["over_contrast"], counts["points"], 0)
+        return self.results
+
+    def refresh(self) -> bool:
+        """Bring a finished report up to date: outcome, digest and truth may be known only later; True if it changed.
+
+        Raises:
+            ScanFileError, ResultWriteError: as :meth:`finish`.
+        """
+        frames = self.frames()
+        if self.results is None or frames is None:
+            return False
+        if self.ended and self.cursor.differs_from(frames):
+            self.finish()
+            return True
+        report = refresh_report(self.results, frames, self.settings, self.outcome, self._ending.checks)
+        if report == self.results.report:
+            return False
+        self.results = dataclasses.replace(self.results, report=report)
+        return True
