@@ -46,6 +46,7 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
         service = WriterService(_connect(context, run_dir), config)
         try:
             with _stopped_by_signals(service):
+                logger.info("ready (pid %d), looking for the daemon in %s", os.getpid(), run_dir)
                 service.run()
         finally:
             service.close()

@@ -1,0 +1,121 @@
+"""Starts services and fakes as processes of their own, waits for facts with a deadline, leaves none behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+DEADLINE_S = 30.0
+_WRITER = (
+    "import sys; from pathlib import Path;"
+    "from acquire.contract.config import load_config; from acquire.contract.errors import SweepscopeError;"
+    "from acquire.writer import run_writer\n"
+    "try:\n    run_writer(load_config(), Path(sys.argv[1]))\n"
+    "except SweepscopeError as error:\n    sys.exit(str(error))"
+)
+
+
+def wait_for(fact: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
+    """Ask until ``fact`` is true; returns it."""
+    end = time.monotonic() + deadline_s
+    while True:
+        found = fact()
+        if found:
+            return found
+        if time.monotonic() > end:
+            raise AssertionError(f"{what}: not within {deadline_s:g} s")
+        threading.Event().wait(0.002)
+
+
+class Child:
+    """A process with its output in a file."""
+
+    def __init__(self, arguments: list[str], log: Path, **settings: Any) -> None:
+        variables = {f"SWEEPSCOPE_{name}": str(value) for name, value in settings.items()}
+        self.log = log
+        with log.open("ab") as output, log.with_suffix(".err").open("ab") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, *arguments], stdout=output, stderr=errors, env={**os.environ, **variables}
+            )
+
+    @property
+    def errors(self) -> str:
+        """What it wrote to stderr so far."""
+        return self.log.with_suffix(".err").read_text()
+
+    def kill(self) -> None:
+        """SIGKILL; returns when it is gone."""
+        self.process.kill()
+        self.process.wait(DEADLINE_S)
+
+    def terminate(self) -> int:
+        """SIGTERM; returns its exit status."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(DEADLINE_S)
+
+    def result(self) -> dict[str, Any]:
+        """Wait for its end; the JSON object on its last line of output."""
+        assert self.process.wait(DEADLINE_S) == 0, self.errors
+        found = json.loads(self.log.read_text().splitlines()[-1])
+        assert isinstance(found, dict)
+        return found
+
+
+class Bench:
+    """A private place for a writer, a fake camera and what they write."""
+
+    def __init__(self, run_dir: Path, folder: Path) -> None:
+        self.run_dir, self.folder = run_dir, folder
+        self.scan = folder / "scan"
+        self.witness = folder / "witness.log"
+        self.acks = folder / "acks.log"
+        self._children: list[Child] = []
+
+    def start(self, name: str, arguments: list[str], **settings: Any) -> Child:
+        """Start a process; it is ended with the bench."""
+        child = Child(arguments, self.folder / f"{name}{len(self._children)}.log", **settings)
+        self._children.append(child)
+        return child
+
+    def writer(self, **settings: Any) -> Child:
+        """Start a writer; ``settings`` are SECTION__KEY of the configuration."""
+        return self.start("writer", ["-c", _WRITER, str(self.run_dir)], **settings)
+
+    def camera(self, frames: int, **knobs: Any) -> Child:
+        """Start a fake camera with its witness and the tap of its acks."""
+        places = {"run_dir": self.run_dir, "scan": self.scan, "witness": self.witness, "acks": self.acks}
+        options = {"frames": frames, **places, **knobs}
+        arguments = [part for name, value in options.items() for part in (f"--{name.replace('_', '-')}", str(value))]
+        return self.start("camera", ["-m", "tests.fakes.fake_camera", *arguments])
+
+    def acked(self) -> list[int]:
+        """Frames that were acked so far, in order."""
+        if not self.acks.exists():
+            return []
+        lines = self.acks.read_text().splitlines(keepends=True)
+        return [int(line.split()[0]) for line in lines if line.endswith("\n")]
+
+    def end(self) -> None:
+        """Kill what still runs."""
+        for child in self._children:
+            if child.process.poll() is None:
+                child.kill()
+
+
+@contextmanager
+def bench_at(run_dir: Path, folder: Path) -> Iterator[Bench]:
+    """A bench whose processes are gone at the end."""
+    bench = Bench(run_dir, folder)
+    try:
+        yield bench
+    finally:
+        bench.end()
