@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from process.compiled import inlined_kernel, kernel
-from process.vector_blocks import BLOCK, higher_than, lowest_bit
+from process.fold_kernels import list_bits
+from process.tiles import BLOCKS, TILE
+from process.vector_blocks import BLOCK, higher_than
 
 
 @inlined_kernel
@@ -21,12 +23,15 @@ def _take(pixel, grey, frame, highest, colour, shift):
 @kernel
 def take_new_maxima(grey, frame, highest, colour, shift):
     """Where grey [pixels] is above highest [pixels]: take it, and frame [pixels, 3] as 8 bit into colour."""
-    whole = grey.size - grey.size % BLOCK
-    for block in range(0, whole, BLOCK):
-        mask = higher_than(grey, block, highest, block)
-        while mask != 0:
-            _take(np.uint64(block) + lowest_bit(mask), grey, frame, highest, colour, shift)
-            mask &= mask - np.uint64(1)
+    masks = np.empty(BLOCKS, np.uint64)
+    listed = np.empty(TILE + 2, np.uint64)
+    whole = grey.size - grey.size % TILE
+    for start in range(0, whole, TILE):
+        for block in range(BLOCKS):
+            at = start + block * BLOCK
+            masks[block] = higher_than(grey, at, highest, at)
+        for index in range(list_bits(masks, listed)):
+            _take(np.uint64(start) + listed[index], grey, frame, highest, colour, shift)
     for pixel in range(whole, grey.size):
         if grey[pixel] > highest[pixel]:
             _take(pixel, grey, frame, highest, colour, shift)
