@@ -15,7 +15,7 @@ from textual.binding import Binding
 from textual.message import Message
 
 from acquire.contract.messages import ResultProgress, Status
-from acquire.contract.states import Outcome, State
+from acquire.contract.states import HoldReason, Outcome, State
 from tui.messages import (
     CommandAnswered,
     LinkChanged,
@@ -53,6 +53,7 @@ LinkMaker = Callable[[Callable[[Message], Any]], Link]
 class ConsoleApp(App[None]):
     """One screen over one rig."""
 
+    TITLE = "sweepscope"
     ENABLE_COMMAND_PALETTE = False
     BINDINGS = [
         Binding("s", "start", "start"),
@@ -172,7 +173,7 @@ class ConsoleApp(App[None]):
     def _say_changes(self, before: Status | None, now: Status) -> None:
         if before is None or (before.state, before.hold_reason) != (now.state, now.hold_reason):
             self.say(state_words(now))
-        if now.message and (before is None or before.message != now.message):
+        if now.message and (before is None or before.message != now.message) and not _said_otherwise(now):
             self.say(now.message)
         for fault in now.faults:
             if (fault.code, fault.at_mono_ns) not in self._faults_said:
@@ -228,8 +229,12 @@ class ConsoleApp(App[None]):
 
     def action_resume(self) -> None:
         """Go on."""
-        if self._can("resume", {State.HOLDING}):
-            self._link.send("resume")
+        if not self._can("resume", {State.HOLDING}):
+            return
+        if self.status is not None and self.status.hold_reason != HoldReason.PAUSED:
+            self.say(f"resume: the sweep holds by itself ({self.status.hold_reason}) and goes on by itself", "warning")
+            return
+        self._link.send("resume")
 
     def action_acknowledge(self) -> None:
         """Take the newest fault off the banner."""
@@ -259,6 +264,13 @@ class ConsoleApp(App[None]):
             self.say(f"{what}: not while the rig is {state_words(self.status)}", "warning")
             return False
         return True
+
+
+def _said_otherwise(status: Status) -> bool:
+    """True if the message only repeats a fault or the outcome, which get lines of their own."""
+    outcome = outcome_line(status)
+    codes = tuple(f"{fault.code} " for fault in status.faults)
+    return status.message.startswith(codes) or bool(outcome and status.message.startswith(outcome))
 
 
 def run_console(

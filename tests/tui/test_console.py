@@ -340,3 +340,24 @@ def test_leaving_closes_the_connection():
     links: list[FakeLink] = []
     drive(script)
     assert links[0].closed
+
+
+def test_resume_of_a_sweep_that_holds_by_itself_is_explained_and_not_sent():
+    async def script(stage):
+        await stage.connect(replace(SWEEPING, state=State.HOLDING, hold_reason=HoldReason.NO_CREDIT))
+        await stage.press("r")
+        assert stage.link.sent == []
+        assert "goes on by itself" in stage.log
+
+    drive(script)
+
+
+def test_a_message_that_repeats_a_fault_or_the_outcome_is_not_logged_twice():
+    async def script(stage):
+        await stage.connect(replace(SWEEPING, faults=[FAULT], message="F03 the writer is lost: 410 of 527"))
+        ended = replace(SWEEPING, state=State.IDLE, outcome=Outcome.STOPPED, message="")
+        words = "stopped: 410 of 527 frames are safe"
+        await stage.hear(StatusArrived(ended), StatusArrived(replace(ended, message=f"{words} (by the operator)")))
+        assert stage.log.count("F03") == 1 and stage.log.count(words) == 1
+
+    drive(script)

@@ -22,11 +22,17 @@ FAULT = FaultReport(
     at_mono_ns=7,
 )
 HOLDING = msgspec.structs.replace(
-    SWEEPING, state=State.HOLDING, hold_reason="no credit", credit=0, writer_alive=False, faults=[FAULT], message="F03"
+    SWEEPING,
+    state=State.HOLDING,
+    hold_reason="no credit",
+    credit=0,
+    writer_alive=False,
+    faults=[FAULT],
+    message="F03 the writer is lost",
 )
 SAVED = msgspec.structs.replace(
     SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, triggered=527, received=527, committed=527, durable=527,
-    message="SAVED",
+    message="SAVED: 527 of 527 frames are safe",
 )  # fmt: skip
 
 

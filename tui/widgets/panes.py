@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.text import Text
 
 from acquire.contract.messages import FaultReport, ResultProgress, Status
-from acquire.contract.states import Outcome, State
+from acquire.contract.states import HoldReason, Outcome, State
 from tui.fit import shorten, spread
 from tui.widgets.lines import Lines
 from tui.words import (
@@ -95,7 +95,7 @@ _COLOURS = {
     "success": "green",
     "warning": "yellow",
     "error": "red",
-    "primary": "bright_blue",
+    "primary": "#4aa3ff",
     "accent": "cyan",
 }
 
@@ -122,7 +122,9 @@ class SweepPane(Lines):
         text.append("\n" + "".join(f"{getattr(status, name):>11}" for name in COUNTS)[1:], style="bold")
         share = f" {status.committed}/{status.expected} {100 * fraction_done(status):3.0f} %"
         room = max(4, width - len(share))
-        text.append("\n").append(bar(fraction_done(status), room, ascii_only=self.ascii_only), style="bright_blue")
+        text.append("\n").append(
+            bar(fraction_done(status), room, ascii_only=self.ascii_only), style=_COLOURS["primary"]
+        )
         text.append(share)
         text.append(f"\n{rate_words(status)}  {credit_words(status)}" if is_running(status) else "\n")
         text.append("\n" + shorten(self._worker(), width))
@@ -195,7 +197,7 @@ class KeyLine(Lines):
             offers.insert(0, "a acknowledge")
         if self.status.state == State.SWEEPING:
             offers.insert(0, "p pause")
-        elif self.status.state == State.HOLDING:
+        elif self.status.state == State.HOLDING and self.status.hold_reason == HoldReason.PAUSED:
             offers.insert(0, "r resume")
         elif self.status.state == State.IDLE:
             again = "s start again" if self.status.outcome not in ("", Outcome.RUNNING) else "s start"

@@ -1,0 +1,116 @@
+"""The console in a real terminal (tmux), against a daemon that answers as a real one does."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from acquire.contract.states import State
+from tests.fakes.fake_daemon import FakeDaemon
+
+
+class Terminal:
+    """A tmux server of its own with one window; what is on the screen is waited for, never slept for."""
+
+    def __init__(self, tmux: str, folder: Path, run_dir: Path) -> None:
+        self._tmux = [tmux, "-S", str(folder / "tmux.sock"), "-f", "/dev/null"]
+        self._environ = {**os.environ, "SWEEPSCOPE_RUN": str(run_dir), "TERM": "xterm-256color", "TMUX": ""}
+        self._environ.pop("TMUX")
+
+    def _do(self, *arguments: str) -> str:
+        command = [*self._tmux, *arguments]
+        return subprocess.run(command, check=True, env=self._environ, capture_output=True, text=True, timeout=10).stdout
+
+    def open(self, *command: str, width: int = 80, height: int = 24) -> None:
+        shell = " ".join(command) + "; echo STATUS=$?; exec sleep 60"
+        self._do("new-session", "-d", "-x", str(width), "-y", str(height), shell)
+
+    def press(self, *keys: str) -> None:
+        self._do("send-keys", *keys)
+
+    def resize(self, width: int, height: int) -> None:
+        self._do("resize-window", "-x", str(width), "-y", str(height))
+
+    @property
+    def screen(self) -> str:
+        return self._do("capture-pane", "-p")
+
+    def wait_for(self, *words: str, deadline_s: float = 10.0) -> str:
+        end_s = time.monotonic() + deadline_s
+        while True:
+            screen = self.screen
+            if all(word in screen for word in words):
+                return screen
+            assert time.monotonic() < end_s, f"{words} never came:\n{screen}"
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        subprocess.run([*self._tmux, "kill-server"], check=False, capture_output=True, timeout=10)
+
+
+@pytest.fixture
+def terminal(tmux: str, tmp_path: Path, run_dir: Path) -> Iterator[Terminal]:
+    made = Terminal(tmux, run_dir, run_dir)
+    yield made
+    made.close()
+
+
+CONSOLE = (sys.executable, "-m", "tui.cli", "console")
+
+
+def test_a_sweep_is_started_paused_resumed_and_stopped_from_a_real_terminal(terminal, run_dir):
+    with FakeDaemon(run_dir, frames_per_tick=1, expected=100_000) as daemon:
+        terminal.open(*CONSOLE)
+        terminal.wait_for("IDLE", "connected", "s start")
+        terminal.press("s")
+        terminal.wait_for("Name of the scan")
+        terminal.press("Enter")
+        terminal.wait_for("SWEEPING", "frames/s", "remaining")
+        terminal.press("p")
+        terminal.wait_for("HOLDING (paused)")
+        terminal.press("r")
+        terminal.wait_for("SWEEPING", "p pause")
+        terminal.press("Space")
+        terminal.wait_for("stopped: ", "frames are safe", "stopped at")
+        terminal.press("q")
+        terminal.wait_for("STATUS=0")
+        assert [name for name, _ in daemon.commands] == ["scan", "pause", "resume", "stop"]
+
+
+def test_the_console_starts_without_a_daemon_and_reconnects_by_itself(terminal, run_dir):
+    terminal.open(*CONSOLE, width=100, height=30)
+    terminal.wait_for("NOT CONNECTED - RETRYING")
+    with FakeDaemon(run_dir):
+        terminal.wait_for("IDLE", " connected")
+    begin_s = time.monotonic()
+    terminal.wait_for("last known: IDLE")
+    assert time.monotonic() - begin_s < 2.5
+    with FakeDaemon(run_dir):
+        terminal.wait_for("IDLE", "s start")
+    terminal.press("q")
+    terminal.wait_for("STATUS=0")
+
+
+def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_is_tiny(terminal, run_dir):
+    with FakeDaemon(run_dir, frames_per_tick=1, expected=100_000) as daemon:
+        terminal.open(*CONSOLE)
+        terminal.wait_for("s start")
+        terminal.press("s")
+        terminal.wait_for("Name of the scan")
+        terminal.press("Enter")
+        terminal.wait_for("SWEEPING")
+        terminal.resize(160, 50)
+        terminal.wait_for("SWEEPING", "triggered", "SPACE = STOP")
+        terminal.resize(40, 12)
+        terminal.wait_for("smaller than")
+        terminal.press("Space")
+        daemon.asked("stop")
+        assert daemon.status.state == State.IDLE
+        terminal.press("q")
+        terminal.wait_for("STATUS=0")
