@@ -24,13 +24,14 @@ def _take(pixel, grey, frame, highest, colour, shift):
 def take_new_maxima(grey, frame, highest, colour, shift):
     """Where grey [pixels] is above highest [pixels]: take it, and frame [pixels, 3] as 8 bit into colour."""
     masks = np.empty(BLOCKS, np.uint64)
+    used = np.empty(BLOCKS + 1, np.uint64)
     listed = np.empty(TILE + 2, np.uint64)
     whole = grey.size - grey.size % TILE
     for start in range(0, whole, TILE):
         for block in range(BLOCKS):
             at = start + block * BLOCK
             masks[block] = higher_than(grey, at, highest, at)
-        for index in range(list_bits(masks, listed)):
+        for index in range(list_bits(masks, used, listed)):
             _take(np.uint64(start) + listed[index], grey, frame, highest, colour, shift)
     for pixel in range(whole, grey.size):
         if grey[pixel] > highest[pixel]:

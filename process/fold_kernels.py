@@ -35,18 +35,22 @@ def start_state(first, state):
 
 
 @inlined_kernel
-def list_bits(masks, listed):
+def list_bits(masks, used, listed):
     """Places of the set bits of masks [BLOCKS], ascending, into listed [TILE + 2]; returns their number.
 
-    Two per mask are written whether they are there or not: with a new maximum in every third mask or so,
-    a branch on each would be predicted wrongly, and cost more than all the rest.
+    The used masks are listed first [BLOCKS + 1], and two bits of each are written whether they are there
+    or not: a branch on each would be predicted wrongly, and cost more than all the rest.
     """
     one = np.uint64(1)
-    found = np.uint64(0)
+    n_used = 0
     for block in range(BLOCKS):
-        mask = masks[block]
+        used[n_used] = block
+        n_used += masks[block] != 0
+    found = np.uint64(0)
+    for index in range(n_used):
+        mask = masks[used[index]]
         following = found + count_bits(mask)
-        place = np.uint64(block * BLOCK)
+        place = np.uint64(used[index]) * np.uint64(BLOCK)
         listed[found] = place + lowest_bit(mask)
         mask &= mask - one
         listed[found + one] = place + lowest_bit(mask)
@@ -72,6 +76,7 @@ def fold_frames(frames, tails, n_frames, first_ordinal, flip, state, log):
     one = np.uint64(1)
     flip = np.uint64(flip)
     masks = np.empty(BLOCKS, np.uint64)
+    used = np.empty(BLOCKS + 1, np.uint64)
     listed = np.empty(TILE + 2, np.uint64)
     for tile in range(log.where.shape[0]):
         whole = (tile + 1) * TILE <= frames[0].size
@@ -96,7 +101,7 @@ def fold_frames(frames, tails, n_frames, first_ordinal, flip, state, log):
             for block in range(0, TILE, BLOCK):
                 prefetch(source, at + block + TILE)
                 masks[block // BLOCK] = fold_block(source, at + block, flip, state, base + block, TILE)
-            for index in range(list_bits(masks, listed)):
+            for index in range(list_bits(masks, used, listed)):
                 pixel = listed[index]
                 value = frame[pixel] ^ flip
                 dip = dips[pixel]
