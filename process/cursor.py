@@ -95,12 +95,15 @@ class FoldCursor:
         self._drain()
         return True
 
-    def fill(self, file: FrameFile, *, limit: int, never: NDArray[np.bool_] | None = None) -> int:
+    def fill(
+        self, file: FrameFile, *, limit: int, through: int | None = None, never: NDArray[np.bool_] | None = None
+    ) -> int:
         """Fold up to ``limit`` frames from the file, and live frames that follow them.
 
         Args:
             file: the scan.
             limit: bound on the frames read in this call, so that a caller can look at its sockets in between.
+            through: last frame index to be read; None: any.
             never: frames that will not be committed any more, [n]; they are skipped while they are missing.
 
         Returns:
@@ -108,7 +111,8 @@ class FoldCursor:
         """
         usable, crc32 = file.usable(), file.crc32()
         read = 0
-        while read < limit and not self.done:
+        last = self.count if through is None else through
+        while read < limit and not self.done and self.next_index <= last:
             frame_index = self.next_index
             if not usable[frame_index]:
                 if never is None or not never[frame_index]:

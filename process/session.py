@@ -115,7 +115,8 @@ class ScanSession:
         if image.role != "sweep" or image.scan_uid != self.announced.scan_uid:
             self.live.foreign += image.role == "sweep"
             return False
-        self.newest_live = max(self.newest_live, image.frame_index)
+        if image.frame_index < self.announced.count:
+            self.newest_live = max(self.newest_live, image.frame_index)
         if not self._fits(image, payload):
             self.live.malformed += 1
             return False
@@ -180,7 +181,9 @@ class ScanSession:
             return 0
         before = self.cursor.next_index
         with self.timings.stage("fold_file"):
-            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, never=self._never(frames))
+            # not beyond the newest live frame: those that follow it are on their way
+            through = self.announced.count if self.ended else max(self.newest_live, before)
+            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, through=through, never=self._never(frames))
         if read:
             self.last_frame_ns = self._clock.now_ns()
             filled = slice(before, self.cursor.next_index)

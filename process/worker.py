@@ -109,9 +109,8 @@ class Worker:
         ready = dict(self._poller.poll(self._patience_ms()))
         if self._results in ready:
             self.outbox.answer_newcomers(self.session)
-        if self._live in ready:
-            self._drain(self._live, MAX_BURST)
-        if self._status in ready:
+        drained = self._live not in ready or self._drain(self._live, MAX_BURST)
+        if self._status in ready and drained:  # an end must not overtake the frames that came before it
             self._drain(self._status, MAX_BURST)
         if self.session is not None:
             self._advance(self.session)
@@ -128,7 +127,8 @@ class Worker:
 
     # ---- what comes in ----
 
-    def _drain(self, socket: zmq.Socket[Any], most: int) -> None:
+    def _drain(self, socket: zmq.Socket[Any], most: int) -> bool:
+        """Take up to ``most`` messages; True if no more are there."""
         for _ in range(most):
             try:
                 received = receive(socket)
@@ -137,8 +137,9 @@ class Worker:
                 logger.warning("ignored: %s", error)
                 continue
             if received is None:
-                return
+                return True
             self._take(received, live=socket is self._live)
+        return False
 
     def _take(self, received: Received, *, live: bool) -> None:
         message = received.message

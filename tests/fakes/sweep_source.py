@@ -18,7 +18,7 @@ import zmq
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.lanes import Sender, bind, connect, receive
+from acquire.contract.lanes import Sender, bind, connect, open_socket, receive
 from acquire.contract.messages import (
     End,
     FrameFormat,
@@ -31,6 +31,7 @@ from acquire.contract.messages import (
     Status,
 )
 from acquire.contract.outcome import frame_crc32
+from acquire.contract.places import endpoint
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
 from acquire.scan_file import ScanFile, create_scan
@@ -157,7 +158,10 @@ class SweepSource:
             start_time_utc="2026-01-01T00:00:00.000Z",
         )
         self.context: zmq.Context[Any] = zmq.Context()
-        self._live = Sender(bind(self.context, zmq.PUB, run_dir, "live"))
+        live = open_socket(self.context, zmq.PUB, "live")
+        live.setsockopt(zmq.SNDHWM, 1000)  # what is lost here is lost on purpose, never by the speed of a test
+        live.bind(endpoint(run_dir, "live"))
+        self._live = Sender(live)
         self._status = Sender(bind(self.context, zmq.PUB, run_dir, "status"))
         self.file: ScanFile | None = None
         self.workers: list[subprocess.Popen[str]] = []

@@ -132,7 +132,8 @@ def test_doubled_and_broken_live_frames_and_foreign_messages_do_no_harm(source, 
         if index == 12:
             source.send_live(0, role="repeat")
     source.end()
-    assert finished(source, listener)["counts"]["from_live"] >= FRAMES - 8
+    counts = finished(source, listener)["counts"]
+    assert (counts["from_live"], counts["from_file"]) == (FRAMES - 4, 4), counts
     assert_same_as_reconstruct(source, tmp_path)
 
 
