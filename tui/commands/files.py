@@ -30,7 +30,7 @@ def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
     from acquire.importing import import_folder
 
     summary = import_folder(frames_dir, target, force=force)
-    print_json(summary) if as_json else click.echo(str(summary))
+    print_json(summary) if as_json else click.echo(summary.words())
 
 
 @click.command()
@@ -66,7 +66,7 @@ def _show_json(summary: Summary) -> None:
 def _show_words(summary: Summary) -> None:
     report, paths = summary.results.report, summary.paths
     click.echo(f"{summary.outcome_text}  {summary.scan}")
-    counts, seconds = report.counts, report.timings_s.get("total", float("nan"))
+    counts, seconds = report.counts, sum(report.timings_s.values())
     click.echo(
         f"{counts['over_contrast']} pixels over the contrast, {counts['past_s_in_first']} past S in the first frame, "
         f"{counts['crossings']} crossings, {'no cloud' if summary.points is None else f'{summary.points} points'}, "
@@ -87,7 +87,7 @@ def verify(scan: Path, as_json: bool) -> int:
     from acquire.verify import verify as run
 
     report = run(scan)
-    print_json(report) if as_json else click.echo(str(report))
+    print_json(report.as_dict()) if as_json else click.echo("\n".join(report.words()))
     if not report.ok:
         return EXIT_FAILED
     return 0 if report.complete else EXIT_INCOMPLETE
@@ -101,7 +101,7 @@ def info(scan: Path, as_json: bool) -> None:
     from acquire.verify import info as run
 
     facts = run(scan)
-    print_json(facts) if as_json else click.echo(str(facts))
+    print_json(facts) if as_json else click.echo("\n".join(facts.words()))
 
 
 COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, verify, info)
