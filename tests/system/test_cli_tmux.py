@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from acquire.contract.states import State
@@ -114,3 +115,32 @@ def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_i
         assert daemon.status.state == State.IDLE
         terminal.press("q")
         terminal.wait_for("STATUS=0")
+
+
+def test_the_demonstration_opens_the_console_starts_at_once_asks_before_it_ends_and_ends_all(terminal, tmp_path):
+    demo = (sys.executable, "-m", "tui.cli", "demo", "--size", "128x96", "--data-dir", str(tmp_path / "data"))
+    terminal.open(*demo, width=100, height=30)
+    screen = terminal.wait_for("SWEEPING", "frames/s", "?token=", deadline_s=60.0)
+    assert "http://127.0.0.1:" in screen
+    services = [child for child in psutil.process_iter() if str(tmp_path) in _open_logs(child)]
+    assert len(services) == 4
+    terminal.press("q")
+    terminal.wait_for("y  end it and leave")
+    terminal.press("n")
+    terminal.wait_for("p pause")
+    terminal.press("q")
+    terminal.wait_for("y  end it and leave")
+    end_s = time.monotonic() + 10.0
+    while "y  end it and leave" in terminal.screen:  # what is typed before it can be read does not count
+        assert time.monotonic() < end_s
+        terminal.press("y")
+    terminal.wait_for("page     http://127.0.0.1:", "STATUS=0", deadline_s=40.0)
+    _, alive = psutil.wait_procs(services, timeout=5)
+    assert not alive
+
+
+def _open_logs(process: psutil.Process) -> str:
+    try:
+        return os.readlink(f"/proc/{process.pid}/fd/1")  # noqa: PTH115
+    except OSError:
+        return ""
