@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acquire import bench_pipeline as bench
+from acquire import bench_publisher
 from acquire.contract.errors import NoServiceError
 
 
@@ -21,7 +22,7 @@ def test_a_small_sweep_gets_through_writer_and_worker() -> None:
 
 def test_a_benchmark_without_services_gives_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "_SERVICES", ())
-    monkeypatch.setattr(bench, "READY_S", 0.3)
+    monkeypatch.setattr(bench_publisher, "READY_S", 0.3)
     with pytest.raises(NoServiceError, match="writer and worker not within"):
         bench.bench_pipeline(4, (48, 64))
 
@@ -29,7 +30,7 @@ def test_a_benchmark_without_services_gives_up_in_time(monkeypatch: pytest.Monke
 def test_nothing_is_left_of_a_benchmark(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(bench.tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(bench, "_SERVICES", ())
-    monkeypatch.setattr(bench, "READY_S", 0.1)
+    monkeypatch.setattr(bench_publisher, "READY_S", 0.1)
     with pytest.raises(NoServiceError):
         bench.bench_pipeline(4, (48, 64))
     assert list(tmp_path.iterdir()) == []
