@@ -81,9 +81,10 @@ def sample_columns(columns, samples):
 
 
 @inlined_kernel
-def _edge_quality(low, high, width, crossing, from_last_maximum, first, last):
+def _edge_quality(width, crossing, from_last_maximum, still_bright, first, last):
+    # a pixel that the light has left again had its plateau, however short
     bits = 0
-    if from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
+    if still_bright and from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
         bits |= _PLATEAU
     if crossing - first < 2.5 * width + 1:
         bits |= _NO_DARK
@@ -120,7 +121,8 @@ def estimate_linear(selected, samples, present, noise, crossing, sigma, quality)
         sigma[pixel] = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
         width = np.float64(high - low) / (GAUSS * step / span)
         behind = np.float64(last - present[samples.last_ordinal[pixel]])
-        bits = _edge_quality(low, high, width, time, behind, first, last)
+        still_bright = 2 * np.int64(samples.tail_dip[pixel]) >= total
+        bits = _edge_quality(width, time, behind, still_bright, first, last)
         quarter = 3 * low + high
         if 4 * np.int64(samples.later_dip[pixel]) <= quarter:
             bits |= _SEVERAL

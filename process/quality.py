@@ -11,7 +11,7 @@ class Quality(IntFlag):
     LIT_AT_START = 1
     """The first frame is already at or above S: no crossing."""
     PLATEAU_NOT_REACHED = 2
-    """The sweep ended within the edge: the maximum, and so S, is too low."""
+    """The sweep ended within the edge, the pixel still bright: the maximum, and so S, is too low."""
     NO_DARK_LEVEL = 4
     """The sweep began within the edge, or the pixel never got below half of full scale."""
     SATURATED = 8

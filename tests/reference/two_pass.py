@@ -87,7 +87,8 @@ def estimate(indices: list[int], values: list[int], noise: float) -> tuple[float
     top = values.index(high)
     first, last = indices[0], indices[-1]
     bits = 0
-    if last - indices[top] <= width + 1 and last - t < 2.5 * width + 1:
+    still_bright = 2 * min(values[top:]) >= low + high
+    if still_bright and last - indices[top] <= width + 1 and last - t < 2.5 * width + 1:
         bits |= 2
     if t - first < 2.5 * width + 1:
         bits |= 4
