@@ -78,7 +78,7 @@ def assert_same(maps, reference):
 
 
 @pytest.mark.parametrize("edge", ["rising", "falling"])
-@settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(sweep=sweeps(), contrast=st.sampled_from([0, 1, 20, 70, 255]), median=st.sampled_from([0, 3, 5]))
 def test_one_pass_equals_two_passes(edge, sweep, contrast, median):
     bit_depth, indices, frames = sweep

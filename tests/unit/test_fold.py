@@ -213,6 +213,15 @@ def test_the_memory_asked_for_beforehand_covers_what_the_fold_and_a_result_hold(
     assert sum(array.nbytes for array in held) <= Fold.bytes_needed(shape, bit_depth)
 
 
+def test_a_sweep_may_have_as_many_frames_as_a_16_bit_number_counts():
+    fold = Fold((1, 1), bit_depth=8, edge="rising", frames_expected=65536)
+    dark, lit = np.full((1, 1), 10, np.uint8), np.full((1, 1), 110, np.uint8)
+    for index in range(65536):
+        fold.add(index, lit if index > 65500 else dark, keep=True)
+    maps = fold.result(**CHOSEN, read_columns=None)
+    assert (maps.crossing[0, 0], maps.last_record[0, 0]) == (65500.5, 65501)
+
+
 # --- pixels that the bounded log no longer knows
 
 RAMPS = (64, 32)
