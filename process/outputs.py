@@ -120,8 +120,11 @@ def write_results(
     outcome: str,
     checks: SweepChecks,
     timings: Timings,
+    compare: bool = True,
 ) -> Results:
     """Turn a finished fold into files; each replaces its predecessor by a rename.
+
+    ``compare`` False leaves the truth to :func:`refresh_report`, because it takes as long as the maps.
 
     Raises:
         ScanFileError: nothing was folded, or the file contradicts what was.
@@ -161,7 +164,7 @@ def write_results(
             warnings=[*settings.warnings, *damage(frames), *filter(None, [settings.what_is_missing])],
             settings=_settings(settings),
             versions=versions(frames.layout.program_version),
-            truth=_truth(frames, cloud, settings),
+            truth=_truth(frames, cloud, settings) if compare else None,
         )
     report = msgspec.structs.replace(report, timings_s={k: round(v, 6) for k, v in timings.seconds.items()})
     write_report(paths.report, report)

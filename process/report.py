@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,7 @@ def truth_errors(path: Path, cloud: Cloud, contrast: int) -> TruthErrors:
     )
 
 
+@lru_cache(maxsize=4)
 def versions(scan_program: str) -> dict[str, str]:
     """Versions of what made the scan and the results."""
     return {

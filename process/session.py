@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 BUFFER_BYTES = 64_000_000
 """Live frames that may wait for a gap to be filled."""
 SILENT_NS = 250 * NS_PER_MS
-"""After so long without a frame the file is asked whether one was lost on the live lane."""
+"""After so long without a frame the file is asked; what is there for so long again was lost on the live lane."""
 FILE_FRAMES_AT_ONCE = 8
 """Frames read from the file before the sockets are looked at again: at most some 20 ms."""
 
@@ -81,6 +81,7 @@ class ScanSession:
         self.last_frame_ns = self._clock.now_ns()
         """When the newest frame was folded, CLOCK_MONOTONIC."""
         self.shown = ShownCounts()
+        self._spotted = (-1, 0)
         self._ending = _Ending()
         self._frames: ScanFrames | None = None
         self._position_um = announced.planned_positions_um
@@ -177,7 +178,7 @@ class ScanSession:
     def fill(self) -> int:
         """Fold a few frames from the file where the live lane left a gap; returns how many were read."""
         frames = self.frames()
-        if frames is None or self.cursor.done:
+        if frames is None or self.cursor.done or not (self.behind or self._overdue(frames)):
             return 0
         before = self.cursor.next_index
         with self.timings.stage("fold_file"):
@@ -190,6 +191,15 @@ class ScanSession:
             known = frames.usable()[filled]
             self._position_um[filled][known] = frames.positions_um()[filled][known]
         return read
+
+    def _overdue(self, frames: ScanFrames) -> bool:
+        """The next frame is in the file for so long that it must have been lost on the live lane."""
+        frame_index, now_ns = self.cursor.next_index, self._clock.now_ns()
+        if not frames.usable()[frame_index]:
+            return False
+        if self._spotted[0] != frame_index:
+            self._spotted = (frame_index, now_ns)
+        return now_ns - self._spotted[1] >= SILENT_NS
 
     def frames(self) -> ScanFrames | None:
         """The scan file; None while the writer has not made it."""
@@ -283,6 +293,7 @@ class ScanSession:
             outcome=self.outcome,
             checks=self._ending.checks,
             timings=self.timings,
+            compare=False,
         )
         counts = self.results.report.counts
         self.shown = ShownCounts(counts["over_contrast"], counts["points"], 0)

@@ -256,6 +256,7 @@ class Worker:
         if results.cloud is not None:
             still = np.zeros(len(results.cloud), np.bool_)
             self.outbox.say_final(session, Preview(results.cloud, still, ShownCounts()))
+        self._refresh_ns = 0
         self._refresh_until_ns = self._clock.now_ns() + REFRESH_FOR_NS
         self._news = True
         if session.ended:
