@@ -42,7 +42,7 @@ from process.tiles import (
 
 __all__ = ["Fold", "Maps", "level_type", "to_grey", "warm_up"]
 
-BATCH = 8
+BATCH = 4
 """Frames kept before a pass over the state: enough to spare memory traffic, few enough to stay in the cache."""
 
 RECORDS = 16
