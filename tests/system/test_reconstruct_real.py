@@ -1,0 +1,68 @@
+"""The public scan of a frog: the documented figures come out, and the cloud has the photograph's colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from plyfile import PlyData
+
+from acquire.contract.calibration import load_calibration
+from acquire.importing import import_folder
+from process.geometry import planes_at, rays
+from process.reconstruct import Summary, reconstruct
+from process.settings import ReconstructOptions
+
+
+@pytest.fixture(scope="module")
+def frog(real_scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Summary]]:
+    scan = tmp_path_factory.mktemp("frog") / "frog.h5"
+    import_folder(real_scan / "frames", scan)
+    options = ReconstructOptions(
+        calibration=real_scan / "calibration.json", edge="falling", contrast=50, median=0, method="linear"
+    )
+    yield scan, reconstruct(scan, options)
+
+
+def test_the_mask_the_crossings_and_their_sum_are_the_documented_ones(frog):
+    counts = frog[1].results.report.counts
+    assert (counts["over_contrast"], counts["past_s_in_first"], counts["crossings"]) == (172_192, 8, 172_184)
+    with h5py.File(frog[1].paths.maps) as maps:
+        crossing = maps["crossing"][()]
+    assert crossing.dtype == np.float64
+    assert np.nansum(crossing) == pytest.approx(15_773_369.54, abs=0.005)
+
+
+def test_the_scan_is_complete_and_nothing_is_warned_of(frog):
+    assert frog[1].complete and frog[1].warnings == []
+    assert frog[1].outcome_text == "SAVED: 166 of 166 frames are safe"
+
+
+def test_every_crossing_within_the_planes_gets_a_point_of_that_plane_on_that_ray(frog, real_scan):
+    calibration, _ = load_calibration(real_scan / "calibration.json")
+    with h5py.File(frog[1].paths.maps) as maps:
+        t = maps["crossing"][()].ravel() + 1
+        left_out = (maps["quality"][()].ravel() & (1 | 2 | 128)) != 0
+    inside = (t >= 47) & (t <= 149)
+    assert int(inside.sum()) == 122_001
+    cloud = frog[1].results.cloud
+    assert cloud is not None
+    assert np.array_equal(cloud.pixels, np.flatnonzero(inside & ~left_out))
+    planes = planes_at(calibration.light_plane, cloud.crossing + 1)
+    directions = rays(calibration.camera).directions[cloud.pixels]
+    depth = planes[:, 3] / (planes[:, :3] * directions).sum(axis=1)
+    assert np.abs(cloud.points_mm - depth[:, None] * directions).max() < 1e-8
+
+
+def test_the_cloud_has_the_colours_of_the_photograph(frog, real_scan):
+    cloud = PlyData.read(str(frog[1].paths.cloud))["vertex"].data
+    pixels = frog[1].results.cloud.pixels
+    photograph = cv2.cvtColor(cv2.imread(str(real_scan / "frames" / "000001.jpg")), cv2.COLOR_BGR2RGB)
+    seen = photograph.reshape(-1, 3)[pixels].astype(float)
+    found = np.stack([cloud["red"], cloud["green"], cloud["blue"]], axis=1).astype(float)
+    assert np.median(np.abs(found - seen)) < 8
+    assert np.corrcoef(found[:, 0] - found[:, 2], seen[:, 0] - seen[:, 2])[0, 1] > 0.9
