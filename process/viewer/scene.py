@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, parse_calibration
 from acquire.contract.clocks import Clock
@@ -22,8 +23,8 @@ from .markup import Picture
 from .sketch import field_of_view, light_at, sheet
 from .tiles import Bounds
 
-LIGHT_RGB = (255, 236, 170)
-LIGHT_OPACITY = 0.16
+LIGHT_RGB = (255, 205, 80)
+LIGHT_OPACITY = 0.15
 LOOK_AGAIN_NS = 2 * NS_PER_S
 """A scan file may not be there yet when its path is announced."""
 LOOKS = 5
@@ -39,7 +40,7 @@ class Scene:
         self.framing = Framing(server, clock)
         self._book = CalibrationBook(clock)
         self._field: Bounds | None = None
-        self._light: viser.MeshHandle | None = None
+        self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
         self._light_at: tuple[object, ...] = ()
         self._floor_of: tuple[float, float, float, float] | None = None
 
@@ -91,20 +92,31 @@ class Scene:
             plane = light_at(calibration, status.plan, status.position_steps, status.position_um)
         corners = sheet(*plane, bounds) if plane is not None else None
         if corners is None:
-            if self._light is not None:
-                self._light.remove()
-                self._light = None
+            for node in self._light or ():
+                node.remove()
+            self._light = None
             return
-        self._light = self._server.scene.add_mesh_simple(
-            "/light",
-            vertices=corners.astype(np.float32),
+        vertices = corners.astype(np.float32)
+        rim = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+        if self._light is None:
+            self._light = self._make_light(vertices, rim)
+        self._light[0].vertices, self._light[1].points = vertices, rim
+
+    def _make_light(
+        self, vertices: NDArray[np.float32], rim: NDArray[np.float32]
+    ) -> tuple[viser.MeshHandle, viser.LineSegmentsHandle]:
+        pane = self._server.scene.add_mesh_simple(
+            "/light/pane",
+            vertices=vertices,
             faces=np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
             color=LIGHT_RGB,
             opacity=LIGHT_OPACITY,
             side="double",
-            material="standard",
             cast_shadow=False,
             receive_shadow=False,
+        )
+        return pane, self._server.scene.add_line_segments(
+            "/light/rim", rim, LIGHT_RGB, thickness=1.5, thickness_units="screen"
         )
 
 

@@ -11,6 +11,12 @@ from acquire.contract.plan import SweepPlan
 from .tiles import Bounds
 
 MAX_FIELD_MM = 10_000.0
+REACH = 1.5
+"""A light plane further from the centre of the object than so many radii is not drawn."""
+LYING = 0.1
+"""A plane with less slope than this has no height to stand up to."""
+HEADROOM = 0.25
+"""The sheet of light ends so many radii over the object."""
 
 
 def field_of_view(camera: CameraModel) -> Bounds | None:
@@ -60,14 +66,22 @@ def light_at(
 
 
 def sheet(normal: NDArray[np.float64], offset: float, bounds: Bounds) -> NDArray[np.float64] | None:
-    """Four corners, shape [4, 3] in mm, of a piece of the plane that spans ``bounds``; None if it passes it by."""
+    """Four corners, shape [4, 3] in mm, of the piece of the plane that stands over the floor of ``bounds``.
+
+    It is as wide as the box, and reaches from z = 0 a little over the box. None where the plane passes the box by.
+    """
     radius = bounds.radius_mm
     centre = bounds.centre - (float(normal @ bounds.centre) - offset) * normal
-    if float(np.linalg.norm(centre - bounds.centre)) > 1.5 * radius:
+    if float(np.linalg.norm(centre - bounds.centre)) > REACH * radius:
         return None
     level = np.cross(normal, (0.0, 0.0, 1.0))
-    if np.linalg.norm(level) < 1e-6:
-        level = np.array([1.0, 0.0, 0.0])
-    level = level / np.linalg.norm(level)
-    rise = np.cross(level, normal)
-    return np.array([centre + radius * (a * level + b * rise) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    if np.linalg.norm(level) < LYING:
+        level, rise = np.array([1.0, 0.0, 0.0]), np.cross(normal, (1.0, 0.0, 0.0))
+        low, high = -radius, radius
+    else:
+        level /= np.linalg.norm(level)
+        rise = np.cross(level, normal)
+        top_mm = bounds.high[2] + HEADROOM * radius
+        low, high = sorted((-centre[2] / rise[2], (top_mm - centre[2]) / rise[2]))
+    half = np.abs(level) @ (np.asarray(bounds.high) - np.asarray(bounds.low)) / 2
+    return np.array([centre + a * half * level + b * rise for a, b in ((-1, low), (1, low), (1, high), (-1, high))])
