@@ -175,12 +175,15 @@ def test_plain_h5py_opens_the_file_at_any_moment_from_creation_to_rename(bench: 
     opened = {"scan.partial.h5": 0, "scan.h5": 0}
     while camera.process.poll() is None:
         for name in opened:
+            if not (bench.scan / name).exists():
+                continue
             try:
                 with h5py.File(bench.scan / name) as file:
                     assert file["/entry/data/data"].shape == (100, 48, 64)
                     assert file["/entry/data/status"][:].max() <= 1
                 opened[name] += 1
-            except FileNotFoundError:
-                continue
-    assert opened["scan.partial.h5"] > 10
+            except OSError:
+                # HDF5 opens a name, then asks for its state by name: the one excuse is that sealing renamed it between
+                assert not (bench.scan / name).exists()
+    assert opened["scan.partial.h5"] > 3
     assert_file_equals_witness(bench, 100)
