@@ -76,6 +76,7 @@ class FakeDaemon:
         self.commands: list[tuple[str, dict[str, Any]]] = []
         self.refuse: dict[str, str] = {}
         self.deaf = False
+        self.silent = False
         self._frames_per_tick, self._expected = frames_per_tick, expected
         self._lock = threading.Lock()
         self._ending = threading.Event()
@@ -118,6 +119,8 @@ class FakeDaemon:
                 self._serve()
             with self._lock:
                 self._advance()
+                if self.silent:
+                    continue
                 self._status.send(self.status)
                 if self.progress is not None:
                     self._results.send(self.progress)

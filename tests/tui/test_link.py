@@ -112,6 +112,18 @@ def test_a_command_is_not_kept_for_a_daemon_that_is_away(run_dir):
             assert [name for name, _ in later.commands] == ["pause"]
 
 
+def test_a_daemon_that_is_there_but_silent_is_sent_nothing_but_stop(run_dir):
+    with FakeDaemon(run_dir) as daemon, linked(run_dir) as (link, ear):
+        ear.wait(LinkChanged, lambda m: m.connected)
+        daemon.silent = True
+        ear.wait(LinkChanged, lambda m: not m.connected)
+        link.send("scan")
+        assert not ear.wait(CommandAnswered).ok
+        link.send("stop")
+        daemon.asked("stop")
+        assert [name for name, _ in daemon.commands] == ["stop"]
+
+
 def test_a_deaf_daemon_is_asked_twice_and_then_given_up(run_dir):
     with FakeDaemon(run_dir) as daemon, linked(run_dir, command_timeout_s=0.6) as (link, ear):
         ear.wait(LinkChanged, lambda m: m.connected)

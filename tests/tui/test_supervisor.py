@@ -133,5 +133,10 @@ def test_a_child_follows_its_killed_supervisor(tmp_path):
     pid = int(next(line for line in lines if line.isdigit()))
     assert "up" in lines
     parent.kill()
-    parent.communicate()
-    wait(lambda: not psutil.pid_exists(pid))
+    parent.wait()
+    parent.stdout.close()
+    try:
+        wait(lambda: not psutil.pid_exists(pid))
+    finally:
+        if psutil.pid_exists(pid):
+            os.kill(pid, signal.SIGKILL)
