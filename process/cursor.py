@@ -72,6 +72,15 @@ class FoldCursor:
         """True if later frames are here already and the next one is not."""
         return bool(self._waiting)
 
+    def wants(self, frame_index: int) -> bool:
+        """True if :meth:`offer` has a use for this frame; a frame that finds the buffer full is counted."""
+        if not self.next_index <= frame_index < self.count:
+            return False
+        if frame_index > self.next_index and frame_index not in self._waiting and len(self._waiting) >= self._room:
+            self.counts.buffer_full += 1
+            return False
+        return True
+
     def offer(self, frame_index: int, crc32: int, pixels: NDArray[Any]) -> bool:
         """A live frame whose checksum was found right; folds it and whatever it was waited for.
 
@@ -82,12 +91,9 @@ class FoldCursor:
         Raises:
             ValueError: the fold cannot take these pixels; :meth:`restart` it.
         """
-        if not self.next_index <= frame_index < self.count:
+        if not self.wants(frame_index):
             return False
         if frame_index > self.next_index:
-            if len(self._waiting) >= self._room and frame_index not in self._waiting:
-                self.counts.buffer_full += 1
-                return False
             self._waiting[frame_index] = (crc32, pixels)
             return False
         self._add(frame_index, crc32, pixels)

@@ -121,6 +121,8 @@ class ScanSession:
         if not self._fits(image, payload):
             self.live.malformed += 1
             return False
+        if not self.cursor.wants(image.frame_index):
+            return False
         if frame_crc32(payload) != image.crc32:
             self.live.wrong_crc += 1
             return False

@@ -39,13 +39,13 @@ def make_scan(tmp_path: Path) -> MakeScan:
         form = FrameFormat(
             width=WIDTH, height=HEIGHT, bit_depth=8 if frames[0].dtype == np.uint8 else 12, pixel_format=pixel_format
         )
-        plan = SweepPlan(0, 3 * (COUNT - 1), 3, 3.175)
+        plan = SweepPlan(0, 3 * (len(frames) - 1), 3, 3.175)
         text = calibration_json(WIDTH, HEIGHT) if calibration is True else calibration or ""
         folder = tmp_path / "scan"
         file = create_scan(
             folder, Start(scan_uid="u1", path=str(folder), format=form, plan=plan, calibration_json=text)
         )
-        for k in set(range(COUNT)) - set(missing):
+        for k in set(range(len(frames))) - set(missing):
             image = Image(
                 scan_uid="u1",
                 frame_index=k,
@@ -83,10 +83,25 @@ def test_maps_are_bit_for_bit_those_of_a_two_pass_reference(make_scan):
     assert summary.complete and summary.points == whole.sum()
 
 
+@pytest.mark.parametrize("colour", [False, True])
+def test_pixels_that_the_fold_could_not_keep_are_resolved_from_the_file(make_scan, colour):
+    rng = np.random.default_rng(3)
+    slow = np.linspace(0, 3000, 400)[:, None, None] * rng.uniform(0.2, 1, (HEIGHT, WIDTH))
+    grey = np.clip(slow + rng.normal(0, 15, slow.shape), 0, 4095).astype(np.uint16)
+    frames = [np.stack([g, g // 2, g // 4], axis=2) if colour else g for g in grey]
+    scan = make_scan(frames, pixel_format="rgb" if colour else "mono")
+    counts = reconstruct(scan, ReconstructOptions(contrast=50, median=0)).results.report.counts
+    assert counts["quality_from_file"] > 100 and counts["unresolved"] == 0
+    seen = [cv2.cvtColor(f, cv2.COLOR_RGB2GRAY) if colour else f for f in frames]
+    expected = two_pass_maps(seen, frames if colour else list(grey), contrast=50 * 16, median=0)["crossing"]
+    assert np.array_equal(maps_of(scan)["crossing"], expected, equal_nan=True)
+
+
 def two_pass_maps(grey, frames, *, contrast, median) -> dict[str, np.ndarray]:
     stack = np.stack(grey).astype(np.int64)
     low, high = stack.min(axis=0), stack.max(axis=0)
-    mask = cv2.medianBlur((high - low >= contrast).astype(np.uint8), median)
+    mask = (high - low >= contrast).astype(np.uint8)
+    mask = cv2.medianBlur(mask, median) if median else mask
     crossing = np.full(low.shape, np.nan)
     for y, x in zip(*np.nonzero(mask), strict=True):
         column = stack[:, y, x]

@@ -51,6 +51,7 @@ def test_every_crossing_within_the_planes_gets_a_point_of_that_plane_on_that_ray
     assert int(inside.sum()) == 122_001
     cloud = frog[1].results.cloud
     assert cloud is not None
+    assert len(cloud) == frog[1].points == 122_001
     assert np.array_equal(cloud.pixels, np.flatnonzero(inside & ~left_out))
     planes = planes_at(calibration.light_plane, cloud.crossing + 1)
     directions = rays(calibration.camera).directions[cloud.pixels]
