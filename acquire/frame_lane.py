@@ -28,6 +28,8 @@ class _Writer:
     epoch: str
     acknowledged: bool = False
     """It has sent start_ack for the scan that runs."""
+    announced: bool = False
+    """The scan was announced to it since it was last heard to say hello."""
 
 
 class FrameLane:
@@ -53,8 +55,8 @@ class FrameLane:
         self._start, self._end = start, None
         self._had_writer, self._durable = False, 0
         if self._writer is not None:
-            self._writer.acknowledged = False
-            self._send(start)
+            self._writer.acknowledged = self._writer.announced = False
+            self._greet()
 
     def forget(self) -> None:
         """The scan is over: whatever is still kept is dropped, nothing is announced any more."""
@@ -111,6 +113,8 @@ class FrameLane:
         self.last_heard_ns = now_ns
         if isinstance(message, Hello):
             self._greet()
+            assert self._writer is not None
+            self._writer.announced = False
             return None
         if self._start is None or message.scan_uid != self._start.scan_uid:
             return None
@@ -143,17 +147,22 @@ class FrameLane:
         return True
 
     def _greet(self) -> None:
-        if self._start is not None and self._writer is not None and not self._writer.acknowledged:
-            self._send(self._start)
+        """Announce the scan to a writer that has not taken it on; once for each hello."""
+        writer = self._writer
+        if self._start is None or writer is None or writer.acknowledged or writer.announced:
+            return
+        writer.announced = True
+        self._send(self._start)
 
     def _take_start_ack(self, message: StartAck) -> LaneEvent:
         assert self._writer is not None
-        self._writer.acknowledged = True
+        known, self._writer.acknowledged = self._writer.acknowledged, True
         came_back, self._had_writer = self._had_writer, True
         for frame_index, crc32 in zip(indices_of(message.committed), message.crc32, strict=False):
             self.window.commit(AckItem(frame_index, 0, crc32))
         self._durable = message.durable_count
-        self._replay()
+        if not known:
+            self._replay()
         return WriterReady(message.reserved, came_back)
 
     def _take_ack(self, message: Ack) -> LaneEvent:
@@ -163,8 +172,14 @@ class FrameLane:
 
     def _take_nack(self, message: Nack, now_ns: int) -> LaneEvent:
         self.counters["nacks"] += 1
-        if message.reason in ("no space", "io error", "crc", "shape"):
+        if message.reason in ("no space", "io error", "crc", "shape", "busy"):
             self._retry_at_ns = now_ns + RETRY_NS
+        elif message.reason in ("immutable", "protocol") and message.frame_index >= 0:
+            # sending it again would change nothing; the end will name it as missing
+            self.window.give_up(message.role, message.frame_index)
+        elif message.reason == "no such scan" and self._writer is not None:
+            self._writer.acknowledged = False
+            self._greet()
         return Refused(message)
 
     def _replay(self) -> None:

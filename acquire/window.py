@@ -34,7 +34,7 @@ class Window:
     prefix: int = 0
     """Frames 0..prefix-1 are all committed."""
     conflicts: int = 0
-    """Acks whose checksum was not that of the frame that was sent."""
+    """Frames of which the file holds another version, or that it cannot take."""
 
     def may_trigger_through(self) -> int:
         """The last frame index that has credit (absolute)."""
@@ -65,6 +65,11 @@ class Window:
         while self.prefix in self.committed:
             self.prefix += 1
         return True
+
+    def give_up(self, role: str, frame_index: int) -> None:
+        """The writer will never take this frame: it is not kept any more, and counts as a conflict."""
+        if self.kept.pop((role, frame_index), None) is not None:
+            self.conflicts += 1
 
     def is_settled(self) -> bool:
         """True when nothing waits for an ack."""

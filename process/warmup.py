@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.messages import FrameFormat
@@ -18,11 +19,13 @@ from .results import MapsSource, write_maps
 from .settings import ReconstructOptions, Recorded, settle
 
 SIZE_PX = 8
+FRAMES = 12
+"""More than the fold keeps before it makes a pass over its state."""
 _RECORDED = Recorded(FrameFormat(width=SIZE_PX, height=SIZE_PX, bit_depth=16))
 
 
 def warm_up() -> None:
-    """Fold three tiny frames of 8 and of 16 bit, turn them into points, and write these into a folder of their own."""
+    """Fold a few tiny frames of each kind, turn them into points, and write these into a folder of their own."""
     camera = CameraModel(
         width=SIZE_PX,
         height=SIZE_PX,
@@ -31,15 +34,25 @@ def warm_up() -> None:
         T=(0.0, 0.0, 0.0),
     )
     plane = TranslatingPlane("frame", (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-    for bit_depth, dtype in ((8, np.uint8), (16, np.uint16)):
-        fold = Fold((SIZE_PX, SIZE_PX), bit_depth=bit_depth, edge="rising", frames_expected=3)
-        for frame_index, level in enumerate((0, 100, 200)):
-            fold.add(frame_index, np.full((SIZE_PX, SIZE_PX), level << (bit_depth - 8), dtype))
+    for bit_depth, channels in ((8, 1), (8, 3), (16, 1), (16, 3)):
+        fold = Fold((SIZE_PX, SIZE_PX), bit_depth=bit_depth, edge="rising", frames_expected=FRAMES)
+        for frame_index in range(FRAMES):
+            fold.add(frame_index, _frame(frame_index, bit_depth, channels), keep=True)
         maps = fold.result(contrast=50, median=3, noise_counts=1.0, read_columns=None)
-        present = np.ones(3, np.bool_)
-        frame_t = coordinates(plane, 3, present, np.zeros(3))
+        present = np.ones(FRAMES, np.bool_)
+        frame_t = coordinates(plane, FRAMES, present, np.zeros(FRAMES))
         cloud = make_cloud(maps, rays(camera), plane_table(plane), frame_t, left_out=0)
     versions("")
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         write_ply(Path(folder) / "cloud.ply", cloud)
-        write_maps(Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), MapsSource("", "", 2))
+        write_maps(
+            Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), MapsSource("", "", FRAMES - 1)
+        )
+
+
+def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generic]:
+    """A frame that is read-only, as those from a socket or a file are."""
+    dtype = np.uint8 if bit_depth == 8 else np.uint16
+    shape = (SIZE_PX, SIZE_PX) if channels == 1 else (SIZE_PX, SIZE_PX, channels)
+    level = dtype((20 * frame_index) << (bit_depth - 8))
+    return np.frombuffer(np.full(shape, level, dtype).tobytes(), dtype).reshape(shape)

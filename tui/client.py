@@ -14,7 +14,7 @@ import zmq
 
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ProtocolError
 from acquire.contract.lanes import Sender, connect, receive
-from acquire.contract.messages import Command, Message, Reply, ResultProgress, Status
+from acquire.contract.messages import Command, Message, Reply, ResultEnd, ResultProgress, Status
 
 
 def somebody_listens(run_dir: Path, lane: str = "command") -> bool:
@@ -128,18 +128,27 @@ class RigClient:
 
 
 class ProgressFeed:
-    """The worker's newest progress, for a process that prints it now and then; use it in one thread."""
+    """The worker's newest progress and its last end, for a process that looks now and then; use it in one thread."""
 
     def __init__(self, run_dir: Path) -> None:
         self._context: zmq.Context[Any] = zmq.Context()
         self._socket = connect(self._context, zmq.SUB, run_dir, "results")
         self._newest: ResultProgress | None = None
+        self._ends: dict[str, ResultEnd] = {}
+
+    def end_of(self, scan_uid: str) -> ResultEnd | None:
+        """What the worker said when the scan's maps and cloud were on disk; None if that was not heard. Never waits."""
+        self.newest()
+        return self._ends.get(scan_uid)
 
     def newest(self) -> ResultProgress | None:
         """What was heard last; None if nothing was. Never waits."""
         while self._socket.poll(0):
             message = _next_message(self._socket, 0)
-            self._newest = message if isinstance(message, ResultProgress) else self._newest
+            if isinstance(message, ResultProgress):
+                self._newest = message
+            elif isinstance(message, ResultEnd):
+                self._ends.setdefault(message.scan_uid, message)
         return self._newest
 
     def close(self) -> None:

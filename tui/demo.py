@@ -39,26 +39,36 @@ class Demonstration:
     def __init__(self, rig: DemoRig, say: Callable[[str], None], hear: Callable[[Status], None]) -> None:
         """``hear`` is called with every status of the running scan."""
         self._rig, self._say, self._hear = rig, say, hear
+        self.feed = ProgressFeed(rig.run_dir)
         self.cancelled = threading.Event()
         self.url = ""
 
     def run(self) -> Verdict:
-        """Take the scan.
+        """Take the scan; may be called once.
 
         Raises:
             CancelledError: ``cancelled`` was set meanwhile.
             SweepscopeError: a service cannot run, the scan was refused, or a deadline passed.
         """
+        try:
+            return self._run()
+        finally:
+            self.feed.close()
+
+    def _run(self) -> Verdict:
         with self._ready() as client:
             self._home(client)
             sweep = self._rig.config.rig.simulation
             result = client.request("scan", name=f"demo-{sweep.object}", specimen=f"simulated {sweep.object}").result
             self._say(f"sweep of {result['expected']} frames into {result['path']}")
             end = follow_scan(client, result["scan_uid"], self._listen)
-        return Verdict(end, self._report(end))
+        report = self._report(end)
+        heard = self.feed.end_of(end.scan_uid)
+        return Verdict(end, report, heard.seconds if heard else None)
 
     def _listen(self, status: Status) -> None:
         self._check()
+        self.feed.newest()  # taken off the socket in time, also where nobody prints it
         self._hear(status)
 
     def _check(self) -> None:
@@ -123,17 +133,15 @@ def run_demo(options: DemoOptions) -> int:
 def _run_headless(options: DemoOptions) -> int:
     wake = threading.Event()
     with signals_set(wake) as came, DemoRig(options, _complain) as rig:
-        narrator, feed = Narrator(say), ProgressFeed(rig.run_dir)
-        narrator.progress = feed.newest
+        narrator = Narrator(say)
         demonstration = Demonstration(rig, say, narrator.hear)
+        narrator.progress = demonstration.feed.newest
         demonstration.cancelled = wake
         try:
             verdict = demonstration.run()
         except CancelledError as error:
             _complain(str(error))
             return 128 + int(came[0]) if came else EXIT_FAILED
-        finally:
-            feed.close()
     _show(verdict, demonstration.url)
     return verdict.exit_status
 

@@ -26,6 +26,8 @@ class Verdict:
     """The daemon's last word on the scan."""
     report: dict[str, Any]
     """report.json."""
+    results_s: float | None = None
+    """From the last frame to maps and cloud on disk; None where the worker was not heard."""
 
     @property
     def folder(self) -> Path:
@@ -72,12 +74,15 @@ class Verdict:
         """The whole summary for a person."""
         counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
         stages = "".join(f", {name.replace('_', ' ')} {seconds:.2f} s" for name, seconds in timings.items())
+        on_disk = (
+            "" if self.results_s is None else f", maps and cloud on disk {self.results_s:.2f} s after the last frame"
+        )
         names = (SEALED_NAME, MAPS_NAME, CLOUD_NAME, REPORT_NAME, TRUTH_NAME)
         return [
             *self.findings(),
             f"frames   {self.status.triggered} triggered, {self.status.retaken} retaken, "
             f"{counts.get('from_live', 0)} folded live, {counts.get('from_file', 0)} from the file",
-            f"timings  sweep {self.status.elapsed_s:.1f} s{stages}",
+            f"timings  sweep {self.status.elapsed_s:.1f} s{on_disk}{stages}",
             *(f"file     {self.folder / name}" for name in names if (self.folder / name).is_file()),
             *([f"page     {url}"] if url else []),
         ]

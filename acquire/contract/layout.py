@@ -48,11 +48,13 @@ SCALARS: Final[dict[str, str]] = {
 VERBATIM: Final = ("config", "calibration", "plan", "user")
 """Fixed bytes under /entry that never change; each has an attribute ``sha256``."""
 
-CHECK_ROLES: Final = ("dark", "ambient", "repeat")
+CHECK_ROLES: Final = ("dark", "ambient", "repeat", "overlap")
 CHECKS_DATA: Final = "/entry/checks/data"
 CHECKS_STATUS: Final = "/entry/checks/status"
 CHECKS_CRC32: Final = "/entry/checks/crc32"
-"""Frames beside the sweep: dark, ambient, frame 0 repeated; [3, h, w(, 3)], status and crc32 [3]."""
+"""Frames beside the sweep: dark, ambient, frame 0 repeated, the last frame before an interruption taken again.
+
+Shape [4, h, w(, 3)], status and crc32 [4]; `overlap` may be written again by each resume."""
 
 
 class FrameStatus(IntEnum):

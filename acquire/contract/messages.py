@@ -32,7 +32,7 @@ Ranges = Annotated[list[FrameRange], Meta(max_length=MAX_LIST)]
 
 PixelFormat = Literal["mono", "rgb", "bayer_rggb", "bayer_bggr", "bayer_grbg", "bayer_gbrg"]
 Purpose = Literal["object", "calibration", "raw"]
-Role = Literal["sweep", "dark", "ambient", "repeat"]
+Role = Literal["sweep", "dark", "ambient", "repeat", "overlap"]
 
 
 class FrameFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

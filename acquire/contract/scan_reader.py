@@ -25,6 +25,7 @@ from .layout import (
     FRAME_FIELDS,
     LAYOUT_VERSION,
     SCALARS,
+    SEALED_NAME,
     VERBATIM,
     FrameStatus,
     find_scan_file,
@@ -99,8 +100,14 @@ def read_layout(scan: Path) -> ScanLayout:
     """
     path = find_scan_file(scan)
     try:
-        with h5py.File(path, "r", locking=False) as file:
+        with _open(path) as file:
             layout = _layout_of(path, file)
+    except FileNotFoundError:
+        # it was sealed, and so renamed, at this very moment
+        sealed = path.with_name(SEALED_NAME)
+        if path.name == SEALED_NAME or not sealed.is_file():
+            raise ScanFileError(f"{path} is gone") from None
+        return read_layout(sealed)
     except (
         OSError,
         KeyError,
@@ -115,6 +122,18 @@ def read_layout(scan: Path) -> ScanLayout:
     if path.stat().st_size < end:
         raise ScanFileError(f"{path} is truncated: {path.stat().st_size} of {end} bytes; restore it from a copy")
     return layout
+
+
+def _open(path: Path) -> h5py.File:
+    """Open for reading without a lock; with HDF5's own locking where this process holds the file open with it."""
+    try:
+        return h5py.File(path, "r", locking=False)
+    except OSError as error:
+        if not path.exists():
+            raise FileNotFoundError(path) from error
+        if "locking" not in str(error):
+            raise
+        return h5py.File(path, "r")
 
 
 def _first_line(error: Exception) -> str:

@@ -104,7 +104,8 @@ def _heading(head: Heading, snapshot: Snapshot) -> str:
         f'<div class="sw-state"><span class="glyph">{escape(head.glyph)}</span><span>{escape(head.words)}</span></div>'
     )
     said = snapshot.status.message if snapshot.status is not None else ""
-    message = f'<div class="sw-said">{escape(said)}</div>' if said else ""
+    told = snapshot.status is None or said in ("", saved_line(snapshot.status))
+    message = "" if told else f'<div class="sw-said">{escape(said)}</div>'
     return f'{state}<div class="sw-name">{escape(name) or "no scan"}</div>{message}'
 
 

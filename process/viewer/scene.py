@@ -22,6 +22,7 @@ from .framing import DEFAULT_BOUNDS, Framing
 from .markup import Picture
 from .sketch import field_of_view, light_at, sheet
 from .tiles import Bounds
+from .words import RUNNING
 
 LIGHT_RGB = (255, 205, 80)
 LIGHT_OPACITY = 0.15
@@ -50,10 +51,17 @@ class Scene:
         self.cloud.draw()
         calibration = self._book.of(snapshot.status)
         self._field = field_of_view(calibration.camera) if calibration is not None else None
-        bounds = self.cloud.bounds() or self._field
+        bounds = self._stage_set(snapshot.status)
         self.framing.follow(bounds)
         self._show_floor(bounds or DEFAULT_BOUNDS)
         self._show_light(snapshot, calibration, bounds or DEFAULT_BOUNDS)
+
+    def _stage_set(self, status: Status | None) -> Bounds | None:
+        """What to look at: the camera's whole field while the cloud grows in it, afterwards the cloud."""
+        cloud = self.cloud.bounds()
+        if cloud is None or self._field is None or status is None or status.state not in RUNNING:
+            return cloud or self._field
+        return cloud.joined(self._field)
 
     def _show_floor(self, bounds: Bounds) -> None:
         cell_mm = nice_length_mm(bounds.radius_mm / 8)

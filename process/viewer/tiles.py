@@ -127,26 +127,24 @@ def parse_tiles(message: ResultTiles, payload: bytes | memoryview) -> tuple[dict
     return tiles, left_out
 
 
-def merged(tiles: Sequence[Tile]) -> Tile:
-    """All points of ``tiles`` as one tile about the origin of the first."""
-    if len(tiles) == 1:
-        return tiles[0]
-    origin = np.asarray(tiles[0].origin_mm)
+def merged(tiles: Sequence[Tile], origin_mm: tuple[float, float, float]) -> Tile:
+    """All points of ``tiles`` as one tile about ``origin_mm``; the shift is done in float64."""
+    origin = np.asarray(origin_mm)
     shifted = [tile.xyz + (np.asarray(tile.origin_mm) - origin) for tile in tiles]
     return Tile(
-        tiles[0].origin_mm,
+        origin_mm,
         np.concatenate(shifted).astype(np.float32),
         np.concatenate([tile.rgb for tile in tiles]),
         np.concatenate([tile.provisional for tile in tiles]),
     )
 
 
-def thinning(total_points: int, max_points: int) -> int:
-    """The smallest power of two such that one of so many points stays within the budget."""
-    keep_one_of = 1
-    while total_points > max_points * keep_one_of:
-        keep_one_of *= 2
-    return keep_one_of
+def power_of_two(total: int, budget: int) -> int:
+    """The smallest power of two such that one of so many stays within the budget; it seldom changes."""
+    one_of = 1
+    while total > budget * one_of:
+        one_of *= 2
+    return one_of
 
 
 def bounds_of(tiles: Iterable[Tile]) -> Bounds | None:

@@ -151,5 +151,6 @@ def test_the_progress_feed_gives_the_newest_without_waiting(run_dir):
                 feed._socket.poll(100)
         found = feed.newest()
         assert found is not None and found.points_settled == PROGRESS.points_settled
+        assert feed.end_of("uid-1") is None
     finally:
         feed.close()

@@ -14,7 +14,7 @@ class RecordingFold:
     def __init__(self) -> None:
         self.fed: list[tuple[int, int]] = []
 
-    def add(self, frame_index: int, frame: np.ndarray) -> None:
+    def add(self, frame_index: int, frame: np.ndarray, *, keep: bool) -> None:
         if frame[0] == 66:
             raise ValueError("poison")
         assert not self.fed or frame_index > self.fed[-1][0]

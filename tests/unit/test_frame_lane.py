@@ -186,3 +186,32 @@ def test_garbage_is_counted_and_does_no_harm(lane, writer):
     writer.socket.send_multipart([b"a", b"b", b"c", b"d"])
     _until(lane, lambda: lane.counters["malformed"] == 2)
     assert make_ready(lane, writer) == [WriterReady(True, False)]
+
+
+def test_a_frame_that_the_file_holds_in_another_version_is_given_up_and_counted(lane, writer):
+    make_ready(lane, writer)
+    lane.offer(*frame(0))
+    writer.send(Nack(scan_uid="u", reason="immutable", frame_index=0))
+    poll(lane)
+    assert lane.window.is_settled() and lane.window.conflicts == 1 and not lane.window.committed
+
+
+def test_a_writer_that_lost_the_scan_is_told_of_it_again(lane, writer):
+    make_ready(lane, writer)
+    lane.offer(*frame(0))
+    writer.take()
+    writer.send(Nack(scan_uid="u", reason="no such scan", frame_index=0))
+    poll(lane)
+    assert isinstance(writer.take().message, Start)
+    writer.send(StartAck(scan_uid="u", path="/x"))
+    poll(lane)
+    assert writer.take().message.frame_index == 0
+
+
+def test_a_start_ack_that_is_said_twice_replays_once(lane, writer):
+    make_ready(lane, writer)
+    lane.offer(*frame(0))
+    writer.take()
+    writer.send(StartAck(scan_uid="u", path="/x"))
+    poll(lane)
+    assert writer.nothing()

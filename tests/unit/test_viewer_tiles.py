@@ -4,7 +4,7 @@ import pytest
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messages import ResultTiles, TileHeader
 from acquire.contract.points import POINT
-from process.viewer.tiles import PROVISIONAL_RGB, Tile, bounds_of, merged, parse_tiles, thinning
+from process.viewer.tiles import PROVISIONAL_RGB, Tile, bounds_of, merged, parse_tiles, power_of_two
 
 
 def message(*headers: TileHeader) -> ResultTiles:
@@ -50,7 +50,7 @@ def test_provisional_points_are_drawn_toward_the_colour_of_the_legend() -> None:
 
 @pytest.mark.parametrize(("points", "expected"), [(0, 1), (1000, 1), (1001, 2), (2001, 4), (9000, 16)])
 def test_thinning_keeps_the_budget_with_the_smallest_power_of_two(points: int, expected: int) -> None:
-    assert thinning(points, 1000) == expected
+    assert power_of_two(points, 1000) == expected
 
 
 def test_thinning_is_even_and_not_in_step_with_image_rows() -> None:
@@ -84,5 +84,5 @@ def test_no_points_have_no_bounds() -> None:
 
 def test_merged_tiles_keep_every_point_where_it_was() -> None:
     one, two = tile_of(np.ones((2, 3)), (10.0, 0.0, 0.0)), tile_of(np.ones((1, 3)), (0.0, 20.0, 0.0))
-    joined = merged([one, two])
+    joined = merged([one, two], (1.0, 1.0, 1.0))
     assert (joined.xyz + np.asarray(joined.origin_mm)).tolist() == [[11, 1, 1], [11, 1, 1], [1, 21, 1]]
