@@ -43,6 +43,7 @@ def warm_up() -> None:
         frame_t = coordinates(plane, FRAMES, present, np.zeros(FRAMES))
         cloud = make_cloud(maps, rays(camera), plane_table(plane), frame_t, left_out=0)
     versions("")
+    source = MapsSource("", "", FRAMES - 1)
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         write_ply(Path(folder) / "cloud.ply", cloud)
         write_maps(
