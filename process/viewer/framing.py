@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -17,7 +18,10 @@ from .tiles import Bounds
 FOV_RAD = math.radians(40)
 DIRECTION = np.array([0.35, -0.8, 0.65]) / np.linalg.norm([0.35, -0.8, 0.65])
 """From the object to the eye: from in front, above, a little aside."""
-MARGIN = 1.02
+MARGIN = 1.05
+ASPECT = 1.2
+"""Width by height of the picture beside the panel; a narrower window cuts the sides."""
+MIN_DISTANCE_MM = 0.01
 GROWTH = 1.15
 """Views follow a growing cloud in steps of this factor."""
 ECHO_NS = 1_500_000_000
@@ -46,9 +50,14 @@ class Pose:
 
 
 def overview(bounds: Bounds) -> Pose:
-    """A pose from which the whole box is seen."""
-    distance = MARGIN * max(bounds.radius_mm, 1e-3) / math.sin(FOV_RAD / 2)
-    return Pose(bounds.centre + distance * DIRECTION, bounds.centre)
+    """The nearest pose along :data:`DIRECTION` from which all corners of the box are seen."""
+    corners = np.array(list(itertools.product(*zip(bounds.low, bounds.high, strict=True)))) - bounds.centre
+    right = np.cross(-DIRECTION, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    up = np.cross(right, -DIRECTION)
+    reach = np.maximum(np.abs(corners @ up), np.abs(corners @ right) / ASPECT)
+    distance = float((MARGIN * reach / math.tan(FOV_RAD / 2) + corners @ DIRECTION).max())
+    return Pose(bounds.centre + max(distance, MIN_DISTANCE_MM) * DIRECTION, bounds.centre)
 
 
 @dataclass

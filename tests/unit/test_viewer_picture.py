@@ -60,13 +60,17 @@ TRANSLATING = {
 }
 
 
-def test_the_whole_box_is_in_view_of_the_overview() -> None:
+def test_the_whole_box_is_in_view_of_the_overview_and_fills_it() -> None:
     pose = overview(BOX)
     corners = np.array([[x, y, z] for x in (-5, 5) for y in (-4, 4) for z in (0, 3)])
     axis = (pose.target - pose.eye) / pose.distance_mm
-    to_corner = corners - pose.eye
-    angles = np.arccos(to_corner @ axis / np.linalg.norm(to_corner, axis=1))
-    assert angles.max() < math.radians(20)
+    right = np.cross(axis, (0, 0, 1))
+    right /= np.linalg.norm(right)
+    up = np.cross(right, axis)
+    seen = corners - pose.eye
+    vertical = np.abs(seen @ up / (seen @ axis)) / math.tan(math.radians(20))
+    horizontal = np.abs(seen @ right / (seen @ axis)) / math.tan(math.radians(20)) / 1.2
+    assert 0.85 < max(vertical.max(), horizontal.max()) < 1.0
     assert pose.eye[2] > BOX.high[2], "one looks from above"
 
 
