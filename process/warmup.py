@@ -46,9 +46,7 @@ def warm_up() -> None:
     source = MapsSource("", "", FRAMES - 1)
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         write_ply(Path(folder) / "cloud.ply", cloud)
-        write_maps(
-            Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), MapsSource("", "", FRAMES - 1)
-        )
+        write_maps(Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), source)
 
 
 def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generic]:
