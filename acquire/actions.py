@@ -75,6 +75,15 @@ class Publish:
 
 
 @dataclass(frozen=True)
+class Attach:
+    """Lay a picture beside the scan."""
+
+    name: str
+    picture: Any
+    """uint8 [h, w, 3] RGB."""
+
+
+@dataclass(frozen=True)
 class Finish:
     """Tell writer and worker that no more frames follow."""
 
@@ -107,6 +116,7 @@ Action = (
     | StopStage
     | CheckLimit
     | Publish
+    | Attach
     | Finish
     | RaiseFault
     | Say

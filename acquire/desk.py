@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -9,9 +10,10 @@ import msgspec
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.states import State
+from acquire.stages.protocol import StageStatus
 
 from .events import PauseRequested, ResumeRequested, StopRequested
-from .preparing import estimated_duration_s, prepare_scan
+from .preparing import PreparedScan, estimated_duration_s, prepare_scan
 from .requests import (
     AcknowledgeRequest,
     CameraRequest,
@@ -19,9 +21,11 @@ from .requests import (
     JogRequest,
     LampRequest,
     NoArguments,
+    ResumeScanRequest,
     ScanRequest,
     parse_request,
 )
+from .resuming import prepare_resume
 
 if TYPE_CHECKING:
     from .daemon import Daemon
@@ -55,20 +59,33 @@ class Desk:
     # ---- the sweep ----
 
     def _scan(self, request: ScanRequest) -> Result:
-        self._need_idle("start a scan")
         daemon = self._daemon
-        stage = daemon.rig.stage.status()
-        if not stage.position_trusted:
-            raise CommandRefusedError("cannot start a scan: the stage's position is not trusted; home it first")
-        mode = request.mode or daemon.config.rig.sweep.mode
-        if mode not in daemon.stage_info.modes:
-            possible = " or ".join(daemon.stage_info.modes)
-            raise CommandRefusedError(
-                f"the {daemon.stage_info.kind} stage sweeps in {possible} mode, not in {mode} mode"
-            )
+        stage = self._need_sweep("start a scan", request.mode or daemon.config.rig.sweep.mode)
         prepared = prepare_scan(
             request, daemon.config, daemon.rig, daemon.camera_info.format, daemon.settings, stage.zero_id
         )
+        return self._begin(prepared)
+
+    def _resume_scan(self, request: ResumeScanRequest) -> Result:
+        daemon = self._daemon
+        self._need_sweep("resume a scan", "step")
+        prepared, settings = prepare_resume(Path(request.path), daemon.config, daemon.camera_info.format)
+        daemon.settings = daemon.rig.camera.configure(settings)
+        return self._begin(prepared)
+
+    def _need_sweep(self, what: str, mode: str) -> StageStatus:
+        self._need_idle(what)
+        stage, info = self._daemon.rig.stage.status(), self._daemon.stage_info
+        if not stage.position_trusted:
+            raise CommandRefusedError(f"cannot {what}: the stage's position is not trusted; home it first")
+        if mode not in info.modes:
+            raise CommandRefusedError(
+                f"the {info.kind} stage sweeps in {' or '.join(info.modes)} mode, not in {mode} mode"
+            )
+        return stage
+
+    def _begin(self, prepared: PreparedScan) -> Result:
+        daemon = self._daemon
         daemon.begin_scan(prepared)
         plan = prepared.start.plan
         return {

@@ -20,7 +20,7 @@ from acquire.contract.clocks import epoch_utc_ns, utc_now_iso, utc_stamp
 from acquire.contract.config import LoadedConfig
 from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CalibrationError, CommandRefusedError
-from acquire.contract.layout import OWNER_LOCK_NAME
+from acquire.contract.layout import CHECK_ROLES, OWNER_LOCK_NAME
 from acquire.contract.messages import FrameFormat, Start
 from acquire.contract.places import FileLock
 from acquire.contract.plan import MAX_FRAMES, SweepPlan
@@ -98,18 +98,28 @@ def prepare_scan(
         CalibrationError: the calibration cannot be used (F21).
     """
     plan = plan_of(request, config, camera)
-    limits = config.rig.limits
-    slots = slots_for(limits.window_bytes, frame_format.nbytes)
-    if not slots:
-        raise CommandRefusedError(
-            f"two frames of {format_bytes(frame_format.nbytes)} do not fit into limits.window_bytes = "
-            f"{format_bytes(limits.window_bytes)}: raise it in rig.toml"
-        )
+    slots = window_slots(config, frame_format)
     calibration, warnings = _calibration(config, rig, plan, frame_format, request, zero_id)
     _check_space(config, plan, frame_format)
     folder, lock = _make_folder(config.data_dir, request.name)
     start = _start_message(request, config, plan, frame_format, calibration, folder)
-    return PreparedScan(start, _settings(config, start), slots, folder, lock, tuple(warnings))
+    return PreparedScan(start, sweep_settings(config, start), slots, folder, lock, tuple(warnings))
+
+
+def window_slots(config: LoadedConfig, frame_format: FrameFormat) -> int:
+    """Frames that may be uncommitted at a time.
+
+    Raises:
+        CommandRefusedError: not even two fit into the bound.
+    """
+    bound = config.rig.limits.window_bytes
+    slots = slots_for(bound, frame_format.nbytes)
+    if not slots:
+        raise CommandRefusedError(
+            f"two frames of {format_bytes(frame_format.nbytes)} do not fit into limits.window_bytes = "
+            f"{format_bytes(bound)}: raise it in rig.toml"
+        )
+    return slots
 
 
 def _calibration(
@@ -133,7 +143,7 @@ def _calibration(
 
 
 def _check_space(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> None:
-    needed = (plan.count + 3) * frame_format.nbytes
+    needed = (plan.count + len(CHECK_ROLES)) * frame_format.nbytes
     place = config.data_dir
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -194,7 +204,8 @@ def _start_message(
     )
 
 
-def _settings(config: LoadedConfig, start: Start) -> SweepSettings:
+def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
+    """What the sweep of ``start`` needs to know, from the configuration of today."""
     rig, plan = config.rig, start.plan
     travel_ms = 1000 * abs(rig.stage.travel_max_steps - rig.stage.travel_min_steps) / rig.stage.max_rate_steps_per_s
     period_ms = 1000 / rig.sweep.max_rate_hz

@@ -31,6 +31,13 @@ class ScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     purpose: Purpose = "object"
 
 
+class ResumeScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``resume_scan``: go on with an interrupted sweep from its last commit."""
+
+    path: Annotated[str, Meta(min_length=1, max_length=4096)]
+    """Absolute path of the scan's folder or file."""
+
+
 class GotoRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``goto``: an absolute move."""
 
@@ -69,6 +76,7 @@ class NoArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 REQUESTS: dict[str, type[msgspec.Struct]] = {
     "scan": ScanRequest,
+    "resume_scan": ResumeScanRequest,
     "pause": NoArguments,
     "resume": NoArguments,
     "stop": NoArguments,

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
@@ -114,6 +115,8 @@ class RunningScan:
                 stage.stop()
             case do.CheckLimit():
                 stage.check_limit()
+            case do.Attach(name, picture):
+                cv2.imwrite(str(self.prepared.folder / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
             case do.Finish(end):
                 self._lane.finish(end)
                 self._live.send(end)

@@ -144,10 +144,14 @@ class ScanFile(ScanStore):
             if os.fstat(self._fd).st_nlink == 0:
                 raise OSError(errno.ENOENT, "the scan file was deleted")
             # the file is asked, not the memory: another writer may have been here while this one was frozen
-            if self._get(f"{prefix}status", index) in USABLE:
+            again = image.role == "overlap" and not self.sealed
+            if self._get(f"{prefix}status", index) in USABLE and not again:
                 return self._compare(image, prefix, index)
             if self.sealed:
                 raise FrameRefusedError("immutable", f"{_name(image)}: the scan is sealed as {self.outcome}")
+            if again:
+                # each resume takes it anew: torn by a crash it must not look whole
+                self._put(f"{prefix}status", index, FrameStatus.MISSING)
             self._put_pixels(f"{prefix}data", index, raw)
             if sweep:
                 self._put_record(image)

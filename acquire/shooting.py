@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
 
 from acquire.contract.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
@@ -11,7 +14,22 @@ from acquire.stages.protocol import Segment, Triggered
 
 from .actions import Action, Arm, BeginSegment, Grant
 from .lockstep import Ledger
+from .overlap import OverlapLimits
 from .window import Window
+
+
+@dataclass(frozen=True)
+class ResumeFrom:
+    """What a sweep that goes on after an interruption needs of its past."""
+
+    last_frame: int
+    """The last frame of the committed prefix; it is taken again and compared."""
+    stored: NDArray[Any]
+    before: NDArray[Any] | None
+    """The stored frame before it; None for frame 0."""
+    first: NDArray[Any]
+    """Frame 0, for the drift check at the end."""
+    limits: OverlapLimits
 
 
 @dataclass(frozen=True)
@@ -36,6 +54,8 @@ class SweepSettings:
     check_limit: bool = False
     time_scale: float = 1.0
     """Of simulated durations; time-outs stay as they are."""
+    resume: ResumeFrom | None = None
+    """None for a sweep that begins."""
 
     @property
     def exposure_ns(self) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Any
 
+import msgspec
 from numpy.typing import NDArray
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
@@ -22,6 +23,7 @@ from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Tr
 
 from .actions import (
     Action,
+    Attach,
     CheckLimit,
     Disarm,
     Finish,
@@ -48,6 +50,7 @@ from .events import (
     WriterReady,
 )
 from .lockstep import Shot
+from .overlap import compare_overlap, overlap_picture
 from .shooting import Shooting
 
 
@@ -57,6 +60,8 @@ class Phase(Enum):
     WAIT_WRITER = auto()
     AMBIENT = auto()
     WARM_UP = auto()
+    OVERLAP = auto()
+    """The last frame before an interruption is taken again and compared."""
     RUN = auto()
     STOPPING = auto()
     """The segment was told to stop; what follows is decided when the stage rests."""
@@ -68,8 +73,17 @@ class Phase(Enum):
     DONE = auto()
 
 
-COUNTERS: tuple[str, ...] = ("triggered", "received", "extra", "damaged", "lost")
-_SHOOTING = (Phase.RUN, Phase.STOPPING, Phase.REPEAT)
+COUNTERS: tuple[str, ...] = (
+    "triggered",
+    "received",
+    "extra",
+    "damaged",
+    "lost",
+    "check_triggers",
+    "check_frames",
+)
+_CHECKS = (Phase.AMBIENT, Phase.OVERLAP, Phase.REPEAT)
+_SHOOTING = (Phase.OVERLAP, Phase.RUN, Phase.STOPPING, Phase.REPEAT)
 _BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP)
 
 
@@ -92,6 +106,8 @@ class Sweep:
     _skip_checks: bool = False
     _deadline_ns: int | None = None
     _first_pixels: NDArray[Any] | None = None
+    _complaint: str = "the frame did not come again"
+    """Why a resumed sweep must not go on; empty once the overlap check has passed."""
 
     def __post_init__(self) -> None:
         self.settings = self.shooting.settings
@@ -138,6 +154,10 @@ class Sweep:
         if self.phase is not Phase.WAIT_WRITER:
             return [Say("the writer is back: frames that were on the way are sent again")] if event.came_back else []
         said: list[Action] = [] if event.reserved else [Say("this file system cannot reserve space: watch the disk")]
+        if self.settings.resume is not None:
+            self.shooting.paired |= self.window.committed.keys()
+            self._first_pixels = self.settings.resume.first
+            return said + self._warm_up(now_ns)
         if not self.settings.dark_frames:
             return said + self._warm_up(now_ns)
         self.phase = Phase.AMBIENT
@@ -156,6 +176,35 @@ class Sweep:
         self._deadline_ns = now_ns + round(self.settings.warm_up_ns * self.settings.time_scale)
         return [SetLamp(on=True)]
 
+    def _after_warm_up(self, now_ns: int) -> list[Action]:
+        resume = self.settings.resume
+        if resume is None:
+            return self._next_segment(now_ns)
+        self.phase = Phase.OVERLAP
+        self._moving_until(now_ns)
+        return self.shooting.begin(resume.last_frame, resume.last_frame, now_ns, gated=False)
+
+    def _take_overlap(self, event: CameraFrame, shot: Shot) -> list[Action]:
+        """Go on only if the rig still shows what it showed (decided here, said when the stage rests)."""
+        resume = self.settings.resume
+        assert resume is not None
+        found = compare_overlap(resume.stored, event.pixels, resume.before, self.settings.plan.pitch_steps)
+        self.checks |= found.as_checks()
+        self._complaint = found.complaint(resume.limits)
+        image = image_of_shot(event, shot, self.settings, "overlap")
+        return [Publish(image, event.pixels), Attach("overlap.png", overlap_picture(resume.stored, event.pixels))]
+
+    def _after_overlap(self, now_ns: int) -> list[Action]:
+        if not self._complaint:
+            return [Say("the rig is where it was: the sweep goes on"), *self._next_segment(now_ns)]
+        fault = self._report("F01")
+        told = msgspec.structs.replace(
+            fault,
+            happened=f"the scan cannot go on: {self._complaint} (overlap.png beside the scan shows it)",
+            to_do="put it back, or home the stage, and resume; or close the scan: 'sweepscope recover --seal'",
+        )
+        return self._abandon(Outcome.INTERRUPTED, f"overlap check: {self._complaint}", told)
+
     # ---- shots ----
 
     def _next_segment(self, now_ns: int) -> list[Action]:
@@ -168,7 +217,7 @@ class Sweep:
 
     def _on_triggered(self, event: Triggered, now_ns: int) -> list[Action]:
         self.position_steps = event.position_steps
-        self.counters["triggered"] += 1
+        self.counters["triggered" if self.phase not in _CHECKS else "check_triggers"] += 1
         wrong = self.shooting.triggered(event, now_ns)
         if wrong:
             return self._give_up(Outcome.FAILED, wrong, "F15", now_ns)
@@ -176,7 +225,7 @@ class Sweep:
         return []
 
     def _on_frame(self, event: CameraFrame, now_ns: int) -> list[Action]:
-        self.counters["received"] += 1
+        self.counters["received" if self.phase not in _CHECKS else "check_frames"] += 1
         if self.phase is Phase.AMBIENT:
             return self._take_ambient(event, now_ns)
         pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns)
@@ -195,6 +244,8 @@ class Sweep:
             assert self._first_pixels is not None
             self.checks |= measure_drift(self._first_pixels, event.pixels)
             return [Publish(image_of_shot(event, shot, self.settings, "repeat"), event.pixels)]
+        if self.phase is Phase.OVERLAP:
+            return self._take_overlap(event, shot)
         self.shooting.paired.add(shot.frame_index)
         if shot.frame_index == 0:
             self._first_pixels = event.pixels
@@ -210,7 +261,7 @@ class Sweep:
 
     def _lose(self, shots: tuple[Shot, ...], detail: str, code: str, now_ns: int) -> list[Action]:
         """Take lost frames again; too many attempts are a fault."""
-        if self.phase is Phase.REPEAT or not shots:
+        if self.phase in (Phase.REPEAT, Phase.OVERLAP) or not shots:
             return []
         attempts = self.shooting.attempts
         for shot in shots:
@@ -380,7 +431,7 @@ class Sweep:
 
     def _time_is_up(self, now_ns: int) -> list[Action]:
         if self.phase is Phase.WARM_UP:
-            return self._next_segment(now_ns)
+            return self._after_warm_up(now_ns)
         if self.phase is Phase.AMBIENT:
             return [Say("no ambient frame came: the camera does not answer"), *self._warm_up(now_ns)]
         if self.phase is Phase.WAIT_WRITER:
@@ -405,6 +456,8 @@ class Sweep:
         ready = self.shooting.segment_done and not self.shooting.ledger.pending
         if self.phase is Phase.RUN and ready and not self.paused:
             return self._next_segment(now_ns)
+        if self.phase is Phase.OVERLAP and ready:
+            return self._after_overlap(now_ns)
         if self.phase is Phase.REPEAT and ready:
             return self._check_limit(now_ns)
         if self.phase is Phase.STOPPING and self._resting and not self.shooting.ledger.pending:

@@ -182,6 +182,61 @@ def test_a_daemon_that_is_told_to_end_in_mid_sweep_seals_what_there_is(appliance
     assert_frames(scan["path"], expected_frames, count)
 
 
+def test_an_interrupted_sweep_is_resumed_and_equals_an_undisturbed_one(appliance, expected_frames):
+    appliance.environ["SWEEPSCOPE_SIMULATION__TIME_SCALE"] = "0.2"
+    appliance.environ["SWEEPSCOPE_SWEEP__MAX_RATE_HZ"] = "15"
+    appliance.start("daemon", "writer")
+    with appliance.client() as client:
+        scan = appliance.scan(client)
+        appliance.until_status(client, lambda s: s.committed > 40, "frames are committed")
+    appliance.kill("daemon")
+    assert_partial(scan["path"])
+    appliance.start("daemon")
+    with appliance.client() as client:
+        appliance.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        again = client.request("resume_scan", path=scan["path"]).result
+        assert again["scan_uid"] == scan["scan_uid"]
+        status = appliance.finished(client, scan["scan_uid"])
+    assert status.outcome == "complete" and status.triggered < COUNT - 30
+    assert_frames(scan["path"], expected_frames)
+    assert (Path(scan["path"]) / "overlap.png").exists()
+
+
+def assert_partial(folder):
+    with ScanReader(Path(folder)) as reader:
+        assert reader.layout.path.name == "scan.partial.h5" and reader.outcome == "running"
+
+
+def test_a_specimen_that_moved_meanwhile_is_noticed_and_the_scan_stays_as_it_was(appliance, expected_frames):
+    appliance.environ["SWEEPSCOPE_SIMULATION__TIME_SCALE"] = "0.2"
+    appliance.environ["SWEEPSCOPE_SWEEP__MAX_RATE_HZ"] = "15"
+    appliance.start("daemon", "writer")
+    with appliance.client() as client:
+        scan = appliance.scan(client)
+        appliance.until_status(client, lambda s: s.committed > 60, "frames are committed")
+    appliance.kill("daemon")
+    appliance.environ["SWEEPSCOPE_SIMULATION__SPECIMEN_MOVED_UM"] = "[40.0, 0.0, 0.0]"
+    appliance.start("daemon")
+    with appliance.client() as client:
+        appliance.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        client.request("resume_scan", path=scan["path"])
+        status = appliance.finished(client, scan["scan_uid"])
+    assert status.outcome == "interrupted" and "cannot go on" in status.faults[0].happened
+    with ScanReader(Path(scan["path"])) as reader:
+        count = int(reader.present().sum())
+    assert_partial(scan["path"])
+    assert_frames(scan["path"], expected_frames, count)
+
+
+def test_a_scan_that_is_closed_cannot_be_resumed(appliance):
+    appliance.start("daemon", "writer")
+    with appliance.client() as client:
+        scan = appliance.scan(client)
+        appliance.finished(client, scan["scan_uid"])
+        with pytest.raises(CommandRefusedError, match="closed for good"):
+            client.request("resume_scan", path=scan["path"])
+
+
 def test_a_second_daemon_leaves_with_the_pid_of_the_first(appliance):
     appliance.start("daemon")
     with appliance.client() as client:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquire import actions as do
 from acquire.cameras.protocol import CameraFrame
@@ -52,6 +53,8 @@ class Bench:
     acking: bool = True
     spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
     """Returns ``lose``, ``shape`` or ``mute`` (no ack) for a shot."""
+    picture: NDArray[np.uint8] | None = None
+    """What the camera shows; None: all pixels 1 with the lamp on, else 0."""
     published: list[Image] = field(default_factory=list)
     faults: list[FaultReport] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -155,7 +158,8 @@ class Bench:
         if how == "lose":
             return
         shape = (4, 4) if how == "shape" else (4, 5)
-        self._events.append(CameraFrame(np.full(shape, self.lamp, np.uint8), self._camera_id, self.now_ns))
+        pixels = np.full(shape, self.lamp, np.uint8) if self.picture is None else self.picture.copy()
+        self._events.append(CameraFrame(pixels, self._camera_id, self.now_ns))
 
 
 def _item(image: Image) -> AckItem:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from acquire.contract.messages import Nack
+from acquire.contract.messages import AckItem, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, WriterReady
+from acquire.overlap import OverlapLimits
+from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Triggered
 
 from .sweep_bench import bench, done
@@ -175,7 +178,42 @@ def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
 
 
 def _first_kept(on):
-    from acquire.contract.messages import AckItem
-
     kept = min((k for k in on.sweep.window.kept.values() if k.image.role == "sweep"), key=lambda k: k.image.frame_index)
     return AckItem(kept.image.frame_index, 0, kept.image.crc32)
+
+
+def resumed(count=10, last=3, moved=False):
+    """A sweep whose frames 0..last are committed already; ``moved``: the rig shows something else than it did."""
+    scene = np.kron(np.random.default_rng(1).integers(0, 200, (8, 8)), np.ones((8, 8))).astype(np.uint8)
+    shown = np.roll(scene, 4, axis=1) if moved else scene
+    past = ResumeFrom(last, scene, None, scene, OverlapLimits())
+    on = bench(count, resume=past, format=FrameFormat(width=64, height=64, bit_depth=8))
+    on.picture = shown
+    for k in range(last + 1):
+        on.sweep.window.commit(AckItem(k, 0, k))
+    return on
+
+
+def test_a_resumed_sweep_takes_its_last_frame_again_and_then_only_what_is_missing():
+    on = resumed()
+    on.start()
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+    assert [image.role for image in on.published] == ["overlap", *["sweep"] * 6, "repeat"]
+    assert [image.frame_index for image in on.published] == [3, *range(4, 10), 0]
+    assert on.sweep.checks["overlap_specimen_px"] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_resumed_sweep_does_not_go_on_where_something_moved():
+    on = resumed(moved=True)
+    on.start()
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED and on.end is None
+    assert [image.role for image in on.published] == ["overlap"]
+    assert "moved" in on.faults[0].happened and "4 of 10" in on.faults[0].safe
+
+
+def test_a_resumed_sweep_whose_overlap_frame_does_not_come_stays_interrupted():
+    on = resumed()
+    on.spoil = lambda frame_index, attempt: "missed" if attempt == 0 else ""
+    on.start()
+    on.tick(200)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED

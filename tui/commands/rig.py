@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -48,11 +49,31 @@ def scan(session: Session, /, wait: bool, as_json: bool, tags: tuple[str, ...], 
     """Run a sweep.
 
     Without --wait the command returns as soon as the sweep has begun."""
+    return _run(session, "scan", wait, as_json, tags=list(tags) or None, **args)
+
+
+@click.command()
+@click.argument("scan", required=False, type=click.Path(path_type=Path))
+@click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
+@json_option
+@click.pass_obj
+def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> int:
+    """Go on with a sweep that holds, or with the interrupted sweep SCAN from its last commit.
+
+    An interrupted sweep goes on only if its last frame, taken again, shows what it showed."""
+    if scan is None:
+        _ask(session, "resume", as_json)
+        return 0
+    return _run(session, "resume_scan", wait, as_json, path=str(scan.resolve()))
+
+
+def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: Any) -> int:
+    """Start a sweep by ``command`` and follow it where that is asked for; returns the exit status."""
     from tui.follow import Narrator, exit_status_of, follow_scan
     from tui.words import outcome_line
 
     with session.client() as client:
-        result = client.request("scan", tags=list(tags) or None, **args).result
+        result = client.request(command, **args).result
         if not wait:
             _show_started(result, as_json)
             return 0
@@ -119,7 +140,7 @@ COMMANDS: tuple[click.Command, ...] = (
     status,
     scan,
     _simple("pause", "Hold the running sweep; nothing is lost."),
-    _simple("resume", "Go on with a sweep that holds."),
+    resume,
     _simple("stop", "End the sweep, keep what was taken; stop the stage."),
     goto,
     jog,

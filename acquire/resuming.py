@@ -1,0 +1,102 @@
+"""Goes on with an interrupted sweep: everything comes from its file, and the rig must prove that it is still there."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from acquire.cameras.protocol import CameraSettings
+from acquire.contract.calibration import parse_calibration
+from acquire.contract.config import LoadedConfig
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.layout import OWNER_LOCK_NAME, PARTIAL_NAME
+from acquire.contract.messages import FrameFormat, Start
+from acquire.contract.places import FileLock
+from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_reader import ScanLayout, ScanReader
+from acquire.contract.units import UM_PER_MM
+
+from .overlap import OverlapLimits
+from .preparing import PreparedScan, sweep_settings, window_slots
+from .shooting import ResumeFrom
+
+SPECIMEN_LIMIT_UM = 2.5
+"""A specimen that moved further is another one; converted to pixels where the calibration knows their size."""
+
+
+def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) -> tuple[PreparedScan, CameraSettings]:
+    """What it takes to go on with ``scan``, and the camera settings that it was begun with.
+
+    Raises:
+        ScanFileError: no scan, or damaged.
+        CommandRefusedError: sealed already, nothing committed, or another camera format.
+        AlreadyRunningError: somebody owns the scan.
+    """
+    with ScanReader(scan) as reader:
+        layout = reader.layout
+        plan = _plan_to_go_on_with(layout, frame_format)
+        lock = FileLock(layout.path.parent / OWNER_LOCK_NAME, "this scan")
+        start = _start_again(layout, plan)
+        settings = replace(sweep_settings(config, start), resume=_resume_from(reader))
+    prepared = PreparedScan(start, settings, window_slots(config, frame_format), layout.path.parent, lock, ())
+    return prepared, _camera_settings(layout, plan, config)
+
+
+def _plan_to_go_on_with(layout: ScanLayout, frame_format: FrameFormat) -> SweepPlan:
+    if layout.path.name != PARTIAL_NAME:
+        raise CommandRefusedError(f"{layout.path} is closed for good: there is nothing to resume")
+    if layout.plan is None:
+        raise CommandRefusedError(f"{layout.path} has no plan: it did not come from a sweep")
+    if layout.format != frame_format:
+        raise CommandRefusedError(
+            f"the scan has {layout.format.width} x {layout.format.height} {layout.format.pixel_format} of "
+            f"{layout.format.bit_depth} bit, the camera {frame_format.width} x {frame_format.height} "
+            f"{frame_format.pixel_format} of {frame_format.bit_depth} bit: set the camera as it was"
+        )
+    return layout.plan
+
+
+def _resume_from(reader: ScanReader) -> ResumeFrom:
+    last = reader.committed_through()
+    while last >= 0 and not reader.present()[last]:
+        last -= 1
+    if last < 0:
+        raise CommandRefusedError(f"{reader.layout.path} holds no frame yet: start a new scan")
+    before = reader.frame(last - 1) if last > 0 and reader.present()[last - 1] else None
+    return ResumeFrom(last, reader.frame(last), before, reader.frame(0), _limits(reader.layout))
+
+
+def _limits(layout: ScanLayout) -> OverlapLimits:
+    text = layout.verbatim["calibration"].decode()
+    if not text:
+        return OverlapLimits()
+    camera = parse_calibration(text, f"the calibration in {layout.path}").camera
+    um_per_px = abs(camera.T[2]) / camera.K[0][0] * UM_PER_MM
+    return OverlapLimits(specimen_px=SPECIMEN_LIMIT_UM / um_per_px)
+
+
+def _start_again(layout: ScanLayout, plan: SweepPlan) -> Start:
+    return Start(
+        scan_uid=layout.scan_uid,
+        path=str(layout.path.parent.resolve()),
+        format=layout.format,
+        plan=plan,
+        config_toml=layout.verbatim["config"].decode(),
+        calibration_json=layout.verbatim["calibration"].decode(),
+        user_json=json.dumps(layout.user),
+        start_time_utc=layout.start_time,
+        epoch_utc_ns=layout.epoch_utc_ns,
+    )
+
+
+def _camera_settings(layout: ScanLayout, plan: SweepPlan, config: LoadedConfig) -> CameraSettings:
+    recorded: dict[str, Any] = tomllib.loads(layout.verbatim["config"].decode()).get("camera", {})
+    camera = config.rig.camera
+    return CameraSettings(
+        exposure_ms=plan.exposure_ms,
+        gain=float(recorded.get("gain", camera.gain)),
+        brightness_percent=float(recorded.get("brightness_percent", camera.brightness_percent)),
+    )

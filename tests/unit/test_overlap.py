@@ -1,0 +1,65 @@
+"""The overlap check: noise is accepted; a shift of 3 microsteps or a specimen moved by 5 um is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from acquire.contract.simulation_config import SimulationConfig
+from acquire.overlap import Overlap, OverlapLimits, compare_overlap, overlap_picture
+from acquire.simulation import Renderer, build_scene
+
+WIDTH, HEIGHT, PITCH, FRAME = 256, 192, 3, 240
+LIMITS = OverlapLimits(specimen_px=2.5 / 26.6)
+"""A pixel is 26.6 um wide at this size."""
+
+
+def renderer(**changes):
+    config = SimulationConfig(retake_noise=True, **changes)
+    scene = Renderer(build_scene(config, width=WIDTH, height=HEIGHT, um_per_microstep=3.175))
+    return lambda steps, attempt=0: scene.render(steps, exposure_ms=30, gain=6, brightness=0, attempt=attempt)
+
+
+@pytest.fixture(scope="module")
+def stored():
+    render = renderer()
+    return render(PITCH * FRAME), render(PITCH * (FRAME - 1))
+
+
+def compare(stored, retaken):
+    return compare_overlap(stored[0], retaken, stored[1], PITCH)
+
+
+def test_other_noise_at_the_same_place_is_accepted(stored):
+    for attempt in range(1, 6):
+        assert compare(stored, renderer()(PITCH * FRAME, attempt)).complaint(LIMITS) == ""
+
+
+@pytest.mark.parametrize("shift_steps", [-3, 3, -12, 12, 60])
+def test_a_shift_of_three_microsteps_is_refused(stored, shift_steps):
+    found = compare(stored, renderer()(PITCH * FRAME + shift_steps, 1))
+    assert "microsteps" in found.complaint(LIMITS)
+    if abs(shift_steps) == 3:
+        assert found.stage_steps == pytest.approx(shift_steps, abs=1.0)
+
+
+@pytest.mark.parametrize("moved_um", [(5.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.0, 0.0, 5.0), (-5.0, 0.0, 0.0)])
+def test_a_specimen_that_moved_by_5_um_is_refused(stored, moved_um):
+    found = compare(stored, renderer(specimen_moved_um=moved_um)(PITCH * FRAME, 1))
+    assert found.complaint(LIMITS)
+
+
+def test_a_change_of_the_light_is_refused(stored):
+    dimmed = (stored[0] * 0.9).astype(np.uint8)
+    assert "light changed by -" in compare(stored, dimmed).complaint(LIMITS)
+
+
+def test_frame_0_has_no_neighbour_and_is_compared_without_one(stored):
+    found = compare_overlap(stored[0], stored[0], None, PITCH)
+    assert found == Overlap(None, pytest.approx(0), pytest.approx(0), 0.0)
+
+
+def test_the_picture_shows_both_frames_and_their_difference(stored):
+    picture = overlap_picture(stored[0], renderer()(PITCH * FRAME + 30, 1))
+    assert picture.shape == (HEIGHT, 3 * WIDTH, 3) and picture.dtype == np.uint8
+    assert picture[:, 2 * WIDTH :].max() > 160
