@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.layout import CLOUD_NAME, MAPS_NAME, REPORT_NAME, TRUTH_NAME, FrameStatus
+from acquire.contract.states import SEALED_OUTCOMES
 
 from .cloud import Cloud, make_cloud, write_ply
+from .crossings import Maps
 from .cursor import CursorCounts, FoldCursor
 from .fold import Fold
 from .frames import ScanFrames
@@ -27,18 +29,22 @@ from .report import (
     Report,
     SweepChecks,
     contrast_histogram,
+    read_report,
     sweep_speed,
     truth_errors,
     versions,
     write_report,
 )
-from .results import MapsSource, write_maps
+from .results import MapsSource, read_source, write_maps
 from .settings import Settings
 
 logger = logging.getLogger(__name__)
 
 _BITS = {name: f"quality_{name}" for name in (str(bit.name).lower() for bit in Quality)}
 """The fold's names of pixels by quality bit -> those in the report, where ``from_file`` already means frames."""
+
+
+NOT_MEASURED = SweepChecks()
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ def new_fold(settings: Settings, frames: Any, count: int) -> Fold:
 
 
 def cloud_of(
-    maps: Any, settings: Settings, folded: NDArray[np.bool_], position_um: NDArray[np.float64]
+    maps: Maps, settings: Settings, folded: NDArray[np.bool_], position_um: NDArray[np.float64]
 ) -> Cloud | None:
     """The default cloud of some maps; None without a light plane.
 
@@ -118,31 +124,24 @@ def write_results(
     folder: Path,
     *,
     outcome: str,
-    checks: SweepChecks,
     timings: Timings,
+    checks: SweepChecks = NOT_MEASURED,
     compare: bool = True,
+    more_counts: dict[str, int] | None = None,
 ) -> Results:
     """Turn a finished fold into files; each replaces its predecessor by a rename.
 
-    ``compare`` False leaves the truth to :func:`refresh_report`, because it takes as long as the maps.
+    ``compare`` False leaves the truth to :func:`refresh_report`, because it takes as long as the maps;
+    ``more_counts`` are those that only the caller knows.
 
     Raises:
         ScanFileError: nothing was folded, or the file contradicts what was.
         CalibrationError: as :func:`cloud_of`.
         ResultWriteError: the folder cannot be written to.
     """
-    if not cursor.folded.any():
-        raise ScanFileError(f"{frames.layout.path} holds no frame that can be used: there is nothing to reconstruct")
     paths = ResultPaths(folder)
-    present = cursor.fold.present
     with timings.stage("maps"):
-        maps = cursor.fold.result(
-            contrast=settings.contrast,
-            median=settings.median,
-            method=settings.method,
-            noise_counts=settings.noise_counts,
-            read_columns=lambda pixels: (present, frames.columns(present, pixels)),
-        )
+        maps = final_maps(cursor, frames, settings)
     with timings.stage("cloud"):
         cloud = cloud_of(maps, settings, cursor.folded, frames.positions_um())
     digest = frames.digest()
@@ -154,13 +153,13 @@ def write_results(
         write_maps(paths.maps, maps, settings, source)
     with timings.stage("report"):
         report = Report(
-            counts=counts(frames.status(), cursor.counts, maps.counts, cloud),
+            counts=counts(frames.status(), cursor.counts, maps.counts, cloud) | (more_counts or {}),
             timings_s={},
             contrast_histogram=contrast_histogram(maps.minimum, maps.maximum, frames.layout.format.bit_depth),
             speed=sweep_speed(frames.layout.plan, settings.light_plane),
             outcome=outcome,
             digest=digest,
-            sweep=checks,
+            sweep=checks if checks != NOT_MEASURED else _earlier_checks(frames, digest),
             warnings=[*settings.warnings, *damage(frames), *filter(None, [settings.what_is_missing])],
             settings=_settings(settings),
             versions=versions(frames.layout.program_version),
@@ -169,6 +168,42 @@ def write_results(
     report = msgspec.structs.replace(report, timings_s={k: round(v, 6) for k, v in timings.seconds.items()})
     write_report(paths.report, report)
     return Results(paths, cloud, report)
+
+
+def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Maps:
+    """The maps of all frames folded; pixels that the fold no longer knows are read from the file.
+
+    Raises:
+        ScanFileError: nothing was folded, or the file contradicts what was.
+    """
+    if not cursor.folded.any():
+        raise ScanFileError(f"{frames.layout.path} holds no frame that can be used: there is nothing to reconstruct")
+    present = cursor.fold.present
+    return cursor.fold.result(
+        contrast=settings.contrast,
+        median=settings.median,
+        method=settings.method,
+        noise_counts=settings.noise_counts,
+        read_columns=lambda pixels: (present, frames.columns(present, pixels)),
+    )
+
+
+def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Results | None:
+    """The results that stand beside the scan file already, with the cloud made anew; None if they are not of it."""
+    paths = ResultPaths(frames.layout.path.parent)
+    try:
+        source, report = read_source(paths.maps), read_report(paths.report)
+    except ScanFileError:
+        return None
+    of_this = (source.scan_uid, source.digest, report.outcome) == (
+        frames.layout.scan_uid,
+        frames.digest(),
+        frames.outcome,
+    )
+    if not of_this or frames.outcome not in SEALED_OUTCOMES:
+        return None
+    maps = final_maps(cursor, frames, settings)
+    return Results(paths, cloud_of(maps, settings, cursor.folded, frames.positions_um()), report)
 
 
 def refresh_report(
@@ -186,7 +221,7 @@ def refresh_report(
         counts=old.counts | {key: known[key] for key in ("committed", "missing", "retaken")},
         outcome=outcome,
         digest=frames.digest(),
-        sweep=checks,
+        sweep=checks if checks != NOT_MEASURED else old.sweep,
         truth=old.truth or _truth(frames, results.cloud, settings),
     )
     if report != old:
@@ -218,6 +253,15 @@ def damage(frames: ScanFrames) -> list[str]:
         return []
     named = ", ".join(str(k) for k in sorted(frames.damaged)[:5])
     return [f"{len(frames.damaged)} frames do not have their checksum and were left out: {named}"]
+
+
+def _earlier_checks(frames: ScanFrames, digest: str) -> SweepChecks:
+    """What the rig measured around this sweep stands only in the report that was made then: it is carried over."""
+    try:
+        report = read_report(ResultPaths(frames.layout.path.parent).report)
+    except ScanFileError:
+        return NOT_MEASURED
+    return report.sweep if report.digest == digest else NOT_MEASURED
 
 
 def _settings(settings: Settings) -> dict[str, Any]:

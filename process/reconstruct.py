@@ -15,7 +15,6 @@ from acquire.contract.scan_reader import ScanLayout
 from .cursor import FoldCursor
 from .frames import ScanFrames
 from .outputs import ResultPaths, Results, Timings, new_fold, write_results
-from .report import SweepChecks, read_report
 from .settings import ReconstructOptions, Recorded, settle
 
 Progress = Callable[[int, int], None]
@@ -67,8 +66,7 @@ def reconstruct(scan: Path, options: ReconstructOptions, progress: Progress | No
                 if progress is not None:
                     progress(cursor.next_index, cursor.count)
         outcome = frames.outcome
-        checks = _earlier_checks(layout.path.parent, frames.digest())
-        results = write_results(cursor, frames, settings, folder, outcome=outcome, checks=checks, timings=timings)
+        results = write_results(cursor, frames, settings, folder, outcome=outcome, timings=timings)
     committed = results.report.counts["committed"] - len(frames.damaged)
     return Summary(
         scan=layout.path,
@@ -102,12 +100,3 @@ def _folder(out: Path | None, scan_file: Path) -> Path:
     except OSError as error:
         raise ConfigError(f"cannot create the folder {out}: {error.strerror}; name another with --out") from None
     return out
-
-
-def _earlier_checks(folder: Path, digest: str) -> SweepChecks:
-    """What the rig measured around this sweep stands only in the report that was made then: it is carried over."""
-    try:
-        report = read_report(ResultPaths(folder).report)
-    except ScanFileError:
-        return SweepChecks()
-    return report.sweep if report.digest == digest else SweepChecks()

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.messages import End, FrameRange, Image, ResultProgress, Status
-from acquire.contract.outcome import frame_crc32
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 from acquire.contract.units import NS_PER_MS
 
@@ -20,7 +19,8 @@ from .announced import Announced, check_memory, live_settings
 from .cursor import FoldCursor
 from .frames import ScanFrames, displayed, open_frames
 from .geometry import rays
-from .outputs import Results, Timings, new_fold, refresh_report, write_results
+from .live_gate import LiveGate
+from .outputs import Results, Timings, new_fold, refresh_report, results_on_disk, write_results
 from .preview import Preview, ShownCounts, make_preview
 from .report import SweepChecks, checks_of
 
@@ -32,16 +32,6 @@ SILENT_NS = 250 * NS_PER_MS
 """After so long without a frame the file is asked; what is there for so long again was lost on the live lane."""
 FILE_FRAMES_AT_ONCE = 8
 """Frames read from the file before the sockets are looked at again: at most some 20 ms."""
-
-
-@dataclass
-class LiveCounts:
-    """Live frames that were not folded, by reason."""
-
-    foreign: int = 0
-    malformed: int = 0
-    wrong_crc: int = 0
-    raised: int = 0
 
 
 @dataclass
@@ -68,7 +58,7 @@ class ScanSession:
         check_memory(self.form, fold_bytes)
         room = min(max(BUFFER_BYTES // self.form.nbytes, 4), 64)
         self.cursor = FoldCursor(lambda: new_fold(self.settings, self.form, announced.count), announced.count, room)
-        self.live = LiveCounts()
+        self.gate = LiveGate(announced)
         self.timings = Timings()
         self.results: Results | None = None
         self.failure = ""
@@ -82,6 +72,7 @@ class ScanSession:
         """When the newest frame was folded, CLOCK_MONOTONIC."""
         self.shown = ShownCounts()
         self._spotted = (-1, 0)
+        self._left_alone = False
         self._ending = _Ending()
         self._frames: ScanFrames | None = None
         self._position_um = announced.planned_positions_um
@@ -113,20 +104,14 @@ class ScanSession:
 
     def take_image(self, image: Image, payload: memoryview) -> bool:
         """Fold a live frame if it is whole and its turn has come; True if the fold went on."""
-        if image.role != "sweep" or image.scan_uid != self.announced.scan_uid:
-            self.live.foreign += image.role == "sweep"
+        if not self.gate.is_of_this_sweep(image):
             return False
-        if image.frame_index < self.announced.count:
-            self.newest_live = max(self.newest_live, image.frame_index)
-        if not self._fits(image, payload):
-            self.live.malformed += 1
-            return False
+        self.newest_live = max(self.newest_live, image.frame_index)
         if not self.cursor.wants(image.frame_index):
             return False
-        if frame_crc32(payload) != image.crc32:
-            self.live.wrong_crc += 1
+        pixels = self.gate.pixels(image, payload)
+        if pixels is None:
             return False
-        pixels = np.frombuffer(payload, dtype=self.form.dtype).reshape(self.form.shape)
         self._position_um[image.frame_index] = image.position_um
         with self.timings.stage("fold_live"):
             return self._offer(image.frame_index, image.crc32, displayed(pixels, self.form.pixel_format))
@@ -140,18 +125,12 @@ class ScanSession:
         if not self.ended and status.scan_uid == self.announced.scan_uid and status.outcome in SEALED_OUTCOMES:
             self._ending = _Ending(status.outcome)
 
-    def _fits(self, image: Image, payload: memoryview) -> bool:
-        form = self.form
-        described = (tuple(image.shape), image.dtype, image.bit_depth, image.pixel_format)
-        expected = (form.shape, form.dtype, form.bit_depth, form.pixel_format)
-        return described == expected and payload.nbytes == form.nbytes and image.frame_index < self.announced.count
-
     def _offer(self, frame_index: int, crc32: int, pixels: NDArray[np.generic]) -> bool:
         try:
             went_on = self.cursor.offer(frame_index, crc32, pixels)
         except Exception:  # noqa: BLE001 - whatever a poisonous frame does, the file has the truth: fold it anew (F08)
             logger.exception("frame %d could not be folded: folding the scan file again", frame_index)
-            self.live.raised += 1
+            self.gate.counts.raised += 1
             self.cursor.restart()
             return False
         if went_on:
@@ -272,11 +251,19 @@ class ScanSession:
     def finish(self) -> Results:
         """Compare the fold with the file, fold again what differs, and write the results beside the scan file.
 
+        A worker that was started after the scan finds results there already; it leaves them alone.
+
         Raises:
             ScanFileError, CalibrationError, ResultWriteError: as ``outputs.write_results``.
         """
         frames = self.frames()
         assert frames is not None
+        if self.cursor.counts.from_live == 0:
+            self.results = results_on_disk(self.cursor, frames, self.settings)
+            if self.results is not None:
+                self._left_alone = True
+                self._show_all(self.results)
+                return self.results
         with self.timings.stage("compare"):
             different = self.cursor.differs_from(frames)
         if different:
@@ -296,10 +283,14 @@ class ScanSession:
             checks=self._ending.checks,
             timings=self.timings,
             compare=False,
+            more_counts=self.gate.counts.named(),
         )
-        counts = self.results.report.counts
-        self.shown = ShownCounts(counts["over_contrast"], counts["points"], 0)
+        self._show_all(self.results)
         return self.results
+
+    def _show_all(self, results: Results) -> None:
+        points = 0 if results.cloud is None else len(results.cloud)
+        self.shown = ShownCounts(results.report.counts["over_contrast"], points, 0)
 
     def refresh(self) -> bool:
         """Bring a finished report up to date: outcome, digest and truth may be known only later; True if it changed.
@@ -308,7 +299,7 @@ class ScanSession:
             ScanFileError, ResultWriteError: as :meth:`finish`.
         """
         frames = self.frames()
-        if self.results is None or frames is None:
+        if self.results is None or frames is None or self._left_alone:
             return False
         if self.ended and self.cursor.differs_from(frames):
             self.finish()

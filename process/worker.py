@@ -20,14 +20,12 @@ from acquire.contract.errors import ProtocolError, ScanFileError, SweepscopeErro
 from acquire.contract.lanes import Received, bind, connect, open_socket, receive
 from acquire.contract.messages import End, Image, Message, ResultEnd, Start, Status
 from acquire.contract.places import endpoint, lock_service
-from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 from .announced import Announced, announced_by_file, announced_by_start
 from .frames import open_frames
 from .outbox import Outbox
 from .preview import Preview, ShownCounts
-from .restore import has_results
 from .session import ScanSession
 from .warmup import warm_up
 
@@ -88,7 +86,7 @@ class Worker:
         self.outbox = Outbox(self._results)
         self.session: ScanSession | None = None
         self.malformed = 0
-        self._done_uid = ""
+        self._refused_uid = ""
         self._news = False
         self._refresh_ns = self._refresh_until_ns = self._retry_ns = self._tries = 0
 
@@ -162,7 +160,7 @@ class Worker:
 
     def _take_status(self, status: Status) -> None:
         """The newest state; it tells a late worker which scan there is."""
-        if not status.scan_uid or not status.scan_path or status.scan_uid == self._done_uid:
+        if not status.scan_uid or not status.scan_path or status.scan_uid == self._refused_uid:
             return
         if self.session is None or self.session.announced.scan_uid != status.scan_uid:
             self._join(status)
@@ -174,9 +172,6 @@ class Worker:
         if frames is None:
             return
         with frames:
-            if status.outcome in SEALED_OUTCOMES and has_results(frames):
-                self._done_uid = status.scan_uid
-                return
             try:
                 announced = announced_by_file(frames)
             except ScanFileError as error:
@@ -201,7 +196,7 @@ class Worker:
 
     def _refuse(self, scan_uid: str, error: Exception) -> None:
         logger.error("scan %s is not folded: %s", scan_uid, error)
-        self._done_uid = scan_uid
+        self._refused_uid = scan_uid
         self.outbox.refuse(scan_uid, str(error) or type(error).__name__)
 
     def _drop_session(self) -> None:

@@ -134,6 +134,7 @@ def test_doubled_and_broken_live_frames_and_foreign_messages_do_no_harm(source, 
     source.end()
     counts = finished(source, listener)["counts"]
     assert (counts["from_live"], counts["from_file"]) == (FRAMES - 4, 4), counts
+    assert (counts["live_wrong_crc"], counts["live_malformed"], counts["live_foreign"]) == (1, 2, 1)
     assert_same_as_reconstruct(source, tmp_path)
 
 
@@ -181,7 +182,7 @@ def test_a_worker_that_finds_an_ended_scan_without_maps_makes_them(source, tmp_p
     assert_same_as_reconstruct(source, tmp_path)
 
 
-def test_a_worker_leaves_results_alone_that_are_there_already(source):
+def test_results_that_are_there_already_are_left_alone_and_shown(source):
     source.create()
     for index in range(FRAMES):
         source.take(index, live=False)
@@ -190,8 +191,9 @@ def test_a_worker_leaves_results_alone_that_are_there_already(source):
     written = (source.folder / "maps.h5").stat().st_mtime_ns
     source.start_worker()
     listener = source.listen()
-    source.pump(lambda: len(listener.poll().progress) >= 2, "two signs of life")
+    source.pump(lambda: listener.poll().ends and listener.heard.tiles[-1][0].tiles, "the cloud of the last scan")
     assert (source.folder / "maps.h5").stat().st_mtime_ns == written
+    assert listener.heard.ends[-1].points == len(listener.heard.tiles[-1][1]) // POINT.itemsize
 
 
 def test_a_stopped_sweep_has_results_of_the_frames_that_are_there(source, tmp_path):

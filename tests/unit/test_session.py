@@ -86,7 +86,7 @@ def test_a_frame_that_raises_is_folded_again_from_the_file_with_the_same_result(
     while not session.ready_to_finish():
         assert session.fill()
     session.finish()
-    assert session.live.raised == 1 and session.cursor.counts.refolded == 12
+    assert session.gate.counts.raised == 1 and session.cursor.counts.refolded == 12
     summary = reconstruct(source.folder, ReconstructOptions(out=tmp_path / "again"))
     live, again = maps_of(source.folder), maps_of(summary.paths.folder)
     assert all(np.array_equal(live[k], again[k], equal_nan=live[k].dtype.kind == "f") for k in again)
