@@ -17,12 +17,15 @@ from zmq.utils.monitor import recv_monitor_message
 
 from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.errors import ProtocolError
-from acquire.contract.lanes import Received, connect, receive
+from acquire.contract.lanes import Received, open_socket, receive
 from acquire.contract.messages import Message, ResultEnd, ResultProgress, ResultTiles, Status
+from acquire.contract.places import endpoint
 
 from .tiles import Tile, parse_tiles
 
 POLL_MS = 1000
+RECONNECT_MS = 50
+RECONNECT_MAX_MS = 500
 MAX_BATCH = 64
 """Messages taken from one socket before the other gets its turn."""
 RESUBSCRIBE_NS = 1_000_000_000
@@ -113,11 +116,9 @@ class Feed:
     def _run(self) -> None:
         context: zmq.Context[Any] = zmq.Context()
         try:
-            status = connect(context, zmq.SUB, self._run_dir, "status")
-            results = connect(context, zmq.SUB, self._run_dir, "results")
-            monitors = {
-                lane: socket.get_monitor_socket(_EVENTS) for lane, socket in (("status", status), ("results", results))
-            }
+            status, status_monitor = self._subscribe(context, "status")
+            results, results_monitor = self._subscribe(context, "results")
+            monitors = {"status": status_monitor, "results": results_monitor}
             try:
                 self._listen(status, results, monitors)
             finally:
@@ -128,6 +129,16 @@ class Feed:
                     monitor.close(0)
         finally:
             context.term()
+
+    def _subscribe(self, context: Any, lane: str) -> tuple[Any, Any]:
+        """A connected SUB socket and its monitor, which is there first: a service that is up connects at once."""
+        socket = open_socket(context, zmq.SUB, lane)
+        monitor = socket.get_monitor_socket(_EVENTS)
+        socket.setsockopt(zmq.SUBSCRIBE, b"")
+        socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        socket.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
+        socket.connect(endpoint(self._run_dir, lane))
+        return socket, monitor
 
     def _listen(self, status: Any, results: Any, monitors: dict[str, Any]) -> None:
         poller = zmq.Poller()

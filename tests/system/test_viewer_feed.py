@@ -60,9 +60,22 @@ def test_the_newest_status_and_all_changed_tiles_arrive(feed: Feed, wake: thread
 def test_services_may_come_late_go_and_come_back(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     for _ in range(2):
         with FakeRig(run_dir):
-            until(feed, wake, lambda now: now.daemon.connected and now.worker.connected)
+            until(feed, wake, lambda now: now.daemon.connected and now.worker.connected and now.status is not None)
         gone = until(feed, wake, lambda now: not now.daemon.connected and not now.worker.connected)
         assert gone.status is not None, "the last word is kept, to be shown as old"
+
+
+@pytest.mark.parametrize("_", range(5))
+def test_services_that_were_there_before_are_seen_at_once_even_if_silent(
+    _: int, run_dir: Path, wake: threading.Event
+) -> None:
+    with FakeRig(run_dir):
+        feed = Feed(run_dir, wake)
+        feed.start()
+        try:
+            until(feed, wake, lambda now: now.daemon.connected and now.worker.connected)
+        finally:
+            feed.close()
 
 
 def test_whoever_comes_late_gets_everything(run_dir: Path, wake: threading.Event) -> None:
