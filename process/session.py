@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.clocks import Clock, MonotonicClock
-from acquire.contract.messages import End, FrameRange, Image, ResultProgress, Status
-from acquire.contract.states import SEALED_OUTCOMES, Outcome
+from acquire.contract.messages import End, Image, ResultProgress, Status
+from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS
 
 from .announced import Announced, check_memory, live_settings
 from .cursor import FoldCursor
+from .ending import Ending
 from .frames import ScanFrames, displayed, open_frames
 from .geometry import rays
 from .live_gate import LiveGate
 from .outputs import Results, Timings, new_fold, refresh_report, results_on_disk, write_results
 from .preview import Preview, ShownCounts, make_preview
-from .report import SweepChecks, checks_of
 
 logger = logging.getLogger(__name__)
 
@@ -32,15 +31,6 @@ SILENT_NS = 250 * NS_PER_MS
 """After so long without a frame the file is asked; what is there for so long again was lost on the live lane."""
 FILE_FRAMES_AT_ONCE = 8
 """Frames read from the file before the sockets are looked at again: at most some 20 ms."""
-
-
-@dataclass
-class _Ending:
-    """What is known about the end of the scan."""
-
-    outcome: str = Outcome.RUNNING.value
-    missing: list[FrameRange] = field(default_factory=list)
-    checks: SweepChecks = field(default_factory=SweepChecks)
 
 
 class ScanSession:
@@ -73,7 +63,7 @@ class ScanSession:
         self.shown = ShownCounts()
         self._spotted = (-1, 0)
         self._left_alone = False
-        self._ending = _Ending()
+        self._ending = Ending()
         self._frames: ScanFrames | None = None
         self._position_um = announced.planned_positions_um
         if self.settings.calibration and self.settings.light_plane:
@@ -95,7 +85,7 @@ class ScanSession:
     @property
     def ended(self) -> bool:
         """The rig has said how the scan ended."""
-        return self._ending.outcome in SEALED_OUTCOMES
+        return self._ending.known
 
     @property
     def outcome(self) -> str:
@@ -118,12 +108,12 @@ class ScanSession:
 
     def take_end(self, end: End) -> None:
         """The rig's account of the scan."""
-        self._ending = _Ending(end.outcome.value, list(end.missing), checks_of(end.checks))
+        self._ending = Ending.of(end)
 
     def take_status(self, status: Status) -> None:
         """Learn of an end whose message was lost on the live lane."""
         if not self.ended and status.scan_uid == self.announced.scan_uid and status.outcome in SEALED_OUTCOMES:
-            self._ending = _Ending(status.outcome)
+            self._ending = Ending(status.outcome)
 
     def _offer(self, frame_index: int, crc32: int, pixels: NDArray[np.generic]) -> bool:
         try:
@@ -165,7 +155,8 @@ class ScanSession:
         with self.timings.stage("fold_file"):
             # not beyond the newest live frame: those that follow it are on their way
             through = self.announced.count if self.ended else max(self.newest_live, before)
-            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, through=through, never=self._never(frames))
+            never = self._ending.never(self.announced.count, frames.outcome)
+            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, through=through, never=never)
         if read:
             self.last_frame_ns = self._clock.now_ns()
             filled = slice(before, self.cursor.next_index)
@@ -187,17 +178,6 @@ class ScanSession:
         if self._frames is None:
             self._frames = open_frames(self.announced.folder, self.announced.scan_uid)
         return self._frames
-
-    def _never(self, frames: ScanFrames) -> NDArray[np.bool_] | None:
-        """Frames that will not come any more: those named missing, all that are missing in a sealed file."""
-        if not self.ended:
-            return None
-        if frames.outcome in SEALED_OUTCOMES:
-            return np.ones(self.announced.count, np.bool_)
-        never = np.zeros(self.announced.count, np.bool_)
-        for first, last in self._ending.missing:
-            never[first : last + 1] = True
-        return never
 
     # ---- what goes out ----
 
