@@ -160,7 +160,7 @@ def write_results(
             outcome=outcome,
             digest=digest,
             sweep=checks if checks != NOT_MEASURED else _earlier_checks(frames, digest),
-            warnings=[*settings.warnings, *damage(frames), *filter(None, [settings.what_is_missing])],
+            warnings=[*settings.warnings, *damage(frames), *_no_cloud(settings, cloud, paths)],
             settings=_settings(settings),
             versions=versions(frames.layout.program_version),
             truth=_truth(frames, cloud, settings) if compare else None,
@@ -253,6 +253,13 @@ def damage(frames: ScanFrames) -> list[str]:
         return []
     named = ", ".join(str(k) for k in sorted(frames.damaged)[:5])
     return [f"{len(frames.damaged)} frames do not have their checksum and were left out: {named}"]
+
+
+def _no_cloud(settings: Settings, cloud: Cloud | None, paths: ResultPaths) -> list[str]:
+    if cloud is not None:
+        return []
+    stale = [f"{paths.cloud} is left from an earlier run, it does not belong to these maps"]
+    return [settings.what_is_missing] + (stale if paths.cloud.exists() else [])
 
 
 def _earlier_checks(frames: ScanFrames, digest: str) -> SweepChecks:

@@ -110,6 +110,7 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
     )
 
 
+METHODS = ("linear",)
 _FLAGS = ("contrast", "median", "method")
 
 
@@ -153,6 +154,8 @@ def _recorded_values(config_toml: str) -> dict[str, Any]:
 
 
 def _checked(values: dict[str, Any]) -> ReconstructConfig:
+    if values.get("method", "linear") not in METHODS:
+        raise ConfigError(f"method {str(values['method'])[:40]!r} is not known: this version has {', '.join(METHODS)}")
     try:
         checked = msgspec.convert(values, ReconstructConfig, strict=True)
     except msgspec.ValidationError as error:

@@ -177,7 +177,14 @@ def test_without_a_calibration_there_are_maps_no_cloud_and_a_reason(make_scan):
     scan = make_scan(calibration=None)
     summary = reconstruct(scan, ReconstructOptions())
     assert summary.points is None and not (scan / "cloud.ply").exists() and (scan / "maps.h5").exists()
-    assert "no calibration" in summary.warnings[0]
+    assert "no calibration" in summary.warnings[0] and len(summary.warnings) == 1
+
+
+def test_a_cloud_of_an_earlier_run_is_named_when_this_run_makes_none(make_scan):
+    scan = make_scan(calibration=None)
+    (scan / "cloud.ply").write_text("old")
+    assert "left from an earlier run" in reconstruct(scan, ReconstructOptions()).warnings[1]
+    assert (scan / "cloud.ply").read_text() == "old"
 
 
 def test_positions_that_are_not_known_are_refused_for_a_plane_by_position(make_scan):
