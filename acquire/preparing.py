@@ -132,7 +132,10 @@ def _calibration(
         text = rig.own_calibration(plan)
         if not text:
             if request.purpose == "object":
-                return "", ["no calibration: maps will be made, no cloud; set reconstruct.calibration"]
+                raise CalibrationError(
+                    "no calibration: an object needs a light plane; set reconstruct.calibration, "
+                    "or scan for the maps alone with purpose 'raw'"
+                )
             return "", []
         calibration = parse_calibration(text, "the rig's own calibration")
     check_size(calibration, frame_format.width, frame_format.height)

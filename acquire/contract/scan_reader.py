@@ -137,7 +137,8 @@ def _open(path: Path) -> h5py.File:
 
 
 def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]
+    line = (str(error).splitlines() or [type(error).__name__])[0][:200]
+    return f"{line}; restore it from a copy" if "truncated" in line or "signature" in line else line
 
 
 def _text(value: Any) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from acquire.contract.errors import CommandRefusedError
+from acquire.contract.errors import CalibrationError, CommandRefusedError
 from acquire.requests import REQUESTS, JogRequest, ScanRequest, parse_request
 
 
@@ -39,3 +39,63 @@ def test_every_command_has_a_method_at_the_desk():
     from acquire.desk import Desk
 
     assert all(callable(getattr(Desk, f"_{name}")) for name in REQUESTS)
+
+
+@pytest.fixture
+def prepare(tmp_path):
+    """Prepare a scan on a rig that knows no calibration of its own."""
+    from acquire.cameras.protocol import CameraSettings
+    from acquire.contract.config import load_config
+    from acquire.contract.messages import FrameFormat
+    from acquire.preparing import prepare_scan
+    from acquire.rig import Rig
+
+    def call(request=ScanRequest(), **overrides):  # noqa: B008 - a frozen struct
+        config = load_config(overrides={"storage.data_dir": str(tmp_path)} | overrides, environ={})
+        frame_format = FrameFormat(width=64, height=48, bit_depth=8)
+        return prepare_scan(request, config, Rig(None, None), frame_format, CameraSettings(10, 0, 0), "zero")
+
+    return call
+
+
+def test_an_object_without_a_calibration_is_refused_with_a_way_out(prepare, tmp_path):
+    with pytest.raises(CalibrationError, match=r"reconstruct\.calibration.*'raw'"):
+        prepare()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_raw_scan_needs_no_calibration(prepare):
+    prepared = prepare(ScanRequest(purpose="raw"))
+    assert prepared.folder.is_dir() and prepared.start.calibration_json == ""
+    prepared.lock.release()
+
+
+def test_a_calibration_that_is_not_there_is_named_before_anything_is_made(prepare, tmp_path):
+    with pytest.raises(CalibrationError, match=r"away\.json"):
+        prepare(**{"reconstruct.calibration": "/away.json"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_data_dir_that_cannot_be_written_is_refused_with_a_way_out(prepare):
+    with pytest.raises(CommandRefusedError, match=r"/proc/none.*storage\.data_dir"):
+        prepare(ScanRequest(purpose="raw"), **{"storage.data_dir": "/proc/none"})
+
+
+def test_a_disk_that_is_too_small_is_refused_with_needed_and_free(prepare, monkeypatch):
+    import shutil
+    from collections import namedtuple
+
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _place: usage(10, 9, 1000))
+    with pytest.raises(CommandRefusedError, match=r"needs 1\.6 MB.*1\.0 kB free.*0:0.*storage\.data_dir"):
+        prepare(ScanRequest(purpose="raw"))
+
+
+def test_a_window_that_holds_no_two_frames_is_refused():
+    from acquire.contract.config import load_config
+    from acquire.contract.messages import FrameFormat
+    from acquire.preparing import window_slots
+
+    config = load_config(overrides={"limits.window_bytes": 1_000_000}, environ={})
+    with pytest.raises(CommandRefusedError, match="window_bytes"):
+        window_slots(config, FrameFormat(width=1024, height=768, bit_depth=8))
