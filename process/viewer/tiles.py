@@ -154,7 +154,6 @@ def bounds_of(tiles: Iterable[Tile]) -> Bounds | None:
         return None
     enough = max(count for count, _ in found) // 50
     boxes = [box for count, box in found if count >= enough]
-    joined = boxes[0]
-    for box in boxes[1:]:
-        joined = joined.joined(box)
-    return joined
+    low = np.min([box.low for box in boxes], axis=0)
+    high = np.max([box.high for box in boxes], axis=0)
+    return Bounds(_triple(low), _triple(high))

@@ -79,6 +79,8 @@ class FakeRig:
         self._read, self._write = os.pipe()
         self._closing = False
         self.commanded = threading.Event()
+        self.subscribed = threading.Event()
+        """Set once somebody listens to the results: what is published before that reaches nobody."""
         self.snapshots_sent = 0
         self._thread = threading.Thread(target=self._run, name="fake-rig")
         self._ready = threading.Event()
@@ -163,6 +165,7 @@ class FakeRig:
                 status.send(self.status)
             if results is not None and results.socket in ready and results.socket.recv() == b"\x01":
                 self._send_snapshot(results)
+                self.subscribed.set()
             if commands is not None and commands.socket in ready:
                 self._answer(commands)
             for message, payload in self._waiting():

@@ -47,10 +47,10 @@ def through(frame_index: int) -> Callable[[Snapshot], bool]:
 def test_the_newest_status_and_all_changed_tiles_arrive(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         rig.set_status(state="sweeping", committed=12)
-        until(feed, wake, lambda now: now.worker.connected and now.daemon.heard_ns > 0)
+        assert rig.subscribed.wait(DEADLINE_S)
         rig.publish_tiles(TILES[:5], folded_through=7)
         rig.publish_tiles(TILES[5:6], folded_through=8)
-        now = until(feed, wake, through(8))
+        now = until(feed, wake, lambda now: through(8)(now) and now.status is not None)
         assert now.status is not None
         assert (now.status.committed, now.cloud_scan_uid, now.cloud_folded_through) == (12, SCAN_UID, 8)
         assert set(feed.take_tiles().tiles) == {header.tile for header, _ in TILES[:6]}
@@ -94,7 +94,7 @@ def test_a_gap_is_counted_and_answered_by_asking_for_everything(
     feed: Feed, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
-        until(feed, wake, lambda now: now.worker.connected)
+        assert rig.subscribed.wait(DEADLINE_S)
         rig.publish_tiles(TILES[:6], folded_through=1)
         until(feed, wake, through(1))
         sent_before = rig.snapshots_sent
@@ -112,7 +112,7 @@ def test_a_gap_is_counted_and_answered_by_asking_for_everything(
 
 def test_another_scan_forgets_the_cloud_of_the_one_before(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
-        until(feed, wake, lambda now: now.worker.connected)
+        assert rig.subscribed.wait(DEADLINE_S)
         rig.publish_tiles(TILES[:6], folded_through=500)
         until(feed, wake, through(500))
         feed.take_tiles()
@@ -127,7 +127,7 @@ def test_a_message_that_cannot_be_read_is_counted_and_the_next_one_is_taken(
     feed: Feed, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
-        until(feed, wake, lambda now: now.worker.connected)
+        assert rig.subscribed.wait(DEADLINE_S)
         header, _ = TILES[0]
         rig.publish(
             ResultTiles(scan_uid=SCAN_UID, version=1, folded_through=0, snapshot=False, tiles=[header]), b"short"

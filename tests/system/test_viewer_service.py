@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import stat
+import threading
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from acquire.contract.config import load_config
 from acquire.contract.errors import AlreadyRunningError, ConfigError
 from acquire.contract.places import lock_service
 from process.viewer import run_viewer
+from process.viewer.service import Viewer
 from tests.fakes.viewer_process import ViewerProcess
 
 
@@ -38,3 +40,14 @@ def test_a_second_viewer_leaves_with_the_pid_of_the_first(run_dir: Path) -> None
     with pytest.raises(AlreadyRunningError, match="pid"):
         run_viewer(load_config(overrides={"viewer.port": 0}), run_dir)
     lock.release()
+
+
+@pytest.mark.parametrize(("host", "controls"), [("127.0.0.1", 7), ("0.0.0.0", 0)])
+def test_a_page_that_others_can_reach_has_nothing_to_press(run_dir: Path, host: str, controls: int) -> None:
+    config = load_config(overrides={"viewer.port": 0, "viewer.host": host})
+    with Viewer(config, run_dir, threading.Event()) as viewer:
+        sent = viewer._page._websock_server._broadcast_buffer.message_from_id.values()
+        pressed = [type(message).__name__ for message in sent]
+    inputs = ("GuiButtonMessage", "GuiTextMessage", "GuiSliderMessage")
+    assert sum(name in inputs for name in pressed) == controls
+    assert "GuiHtmlMessage" in pressed, "the state is shown to all"
