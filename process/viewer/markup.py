@@ -66,7 +66,7 @@ def panel_html(snapshot: Snapshot, now_ns: int, picture: Picture) -> str:
         parts.append(f'<div class="{"" if head.live else "sw-old"}">{numbers}</div>')
         parts.append(_saved(snapshot.status))
     parts += [_remark(remark) for remark in remarks(snapshot, now_ns, picture.keep_one_of)]
-    return f'{STYLE}<div class="sw" {_data(snapshot, head)}>{"".join(parts)}</div>'
+    return f'<div class="sw" {_data(snapshot, head)}>{"".join(parts)}</div>'
 
 
 def note_html(note: Note, now_ns: int) -> str:

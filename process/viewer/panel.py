@@ -15,7 +15,7 @@ from acquire.contract.units import NS_PER_S
 
 from .commands import CommandLine
 from .feed import Snapshot
-from .markup import Picture, beat_html, note_html, panel_html
+from .markup import STYLE, Picture, beat_html, note_html, panel_html
 from .scene import Scene
 from .words import allowed, heading
 
@@ -34,6 +34,7 @@ class Panel:
             dark_mode=True, show_logo=False, show_share_button=False, control_width="medium", brand_color=(47, 111, 168)
         )
         server.gui.main_panel.dock_right()
+        server.gui.add_html(STYLE)  # apart from the text: a browser restyles the whole page when it comes anew
         self._beat = server.gui.add_html("")
         self._text = server.gui.add_html("")
 

@@ -21,8 +21,10 @@ from .guard import Gate
 from .panel import Controls, Panel, ViewSettings
 from .scene import Scene
 
-TURN_S = 0.1
-"""Least time between two turns: ten updates a second are plenty for eyes and what a software renderer digests."""
+TURN_S = 0.04
+"""Least time between two turns: the words on the page are never older than this and a little."""
+PICTURE_NS = 500_000_000
+"""Least time between two changes of the picture: drawing is what keeps a browser from showing newer words."""
 BEAT_S = 0.5
 """Longest time between two turns, for the clock and the ages on the page."""
 URL_FILE = "viewer.url"
@@ -77,6 +79,7 @@ class Viewer:
         if not view_only:
             ViewSettings(self._page, self._scene)
         self._feed = Feed(run_dir, wake, self._clock)
+        self._pictured_ns = 0
 
     def __enter__(self) -> Viewer:
         self._turn()
@@ -102,10 +105,10 @@ class Viewer:
 
     def _turn(self) -> None:
         now_ns = self._clock.now_ns()
-        news, snapshot = self._feed.take_tiles(), self._feed.snapshot()
-        self._scene.show(snapshot, news)
-        if self._scene.cloud.pending:
-            self._wake.set()
+        snapshot = self._feed.snapshot()
+        if now_ns - self._pictured_ns >= PICTURE_NS:
+            self._pictured_ns = now_ns
+            self._scene.show(snapshot, self._feed.take_tiles())
         self._panel.show(snapshot, now_ns, self._scene.picture)
         if self._controls is not None:
             self._controls.show(snapshot, now_ns)
