@@ -40,6 +40,8 @@ logger = logging.getLogger(__name__)
 POLL_MS = 10
 MAX_COMMANDS_PER_TURN = 32
 MAX_REMEMBERED_REPLIES = 256
+_TIMELESS = ("stop", "status")
+"""Commands that are never too old to be done."""
 
 
 class Daemon:
@@ -230,6 +232,18 @@ class Daemon:
         self._changed = True
 
     def _reply_to(self, command: Command) -> Reply:
+        age_ns = self.clock.now_ns() - command.sent_mono_ns
+        if (
+            command.sent_mono_ns
+            and age_ns > self.config.rig.limits.command_s * NS_PER_S
+            and command.name not in _TIMELESS
+        ):
+            # it lay in a queue while the daemon was away or frozen: whoever asked has long given up
+            return Reply(
+                request_id=command.request_id,
+                ok=False,
+                error=f"{command.name} came {age_ns / NS_PER_S:.0f} s late and was not done; ask again",
+            )
         try:
             return Reply(request_id=command.request_id, ok=True, result=self._desk.serve(command.name, command.args))
         except SweepscopeError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import threading
 from pathlib import Path
 
 import h5py
@@ -235,6 +236,21 @@ def test_a_scan_that_is_closed_cannot_be_resumed(appliance):
         appliance.finished(client, scan["scan_uid"])
         with pytest.raises(CommandRefusedError, match="closed for good"):
             client.request("resume_scan", path=scan["path"])
+
+
+def test_a_command_that_a_frozen_daemon_finds_late_is_not_done(appliance):
+    appliance.environ["SWEEPSCOPE_LIMITS__COMMAND_S"] = "0.3"
+    appliance.start("daemon")
+    with appliance.client() as client:
+        appliance.until_status(client, lambda s: s.state == "idle", "the rig is ready")
+        appliance.send_signal("daemon", signal.SIGSTOP)
+        thaw = threading.Timer(1.0, appliance.send_signal, ("daemon", signal.SIGCONT))
+        thaw.start()
+        client._timeout_s = 10.0
+        with pytest.raises(CommandRefusedError, match="late and was not done"):
+            client.request("goto", position_steps=500)
+        thaw.join()
+        assert client.request("status").result["position_steps"] == 0
 
 
 def test_a_second_daemon_leaves_with_the_pid_of_the_first(appliance):
