@@ -55,6 +55,8 @@ class SimulatedCamera:
                 um_per_microstep=stage.um_per_microstep,
             )
         self._renderer = Renderer(self.scene)
+        # compiled now, not within the first exposure, whose frame would come too late
+        self._renderer.render(0, exposure_ms=1.0, gain=0.0, brightness=0.0)
         self._thread = threading.Thread(target=self._serve, name="simulated-camera", daemon=True)
         self._thread.start()
         return CameraInfo(kind="simulated", format=self._format)
