@@ -17,7 +17,7 @@
 #define FIRMWARE_VERSION 100 /* 1.00 */
 
 #define LINK_BAUD 250000   /* exact at 16 MHz: no rate error to add to noise */
-#define BODY_MAX 88        /* bytes of the longest body, firmware to host */
+#define BODY_MAX 89        /* bytes of the longest body, firmware to host */
 #define COMMAND_BODY_MAX 48 /* bytes of the longest body, host to firmware */
 #define BLOCK_OVERHEAD 7   /* length, sequence, type, crc32 */
 #define WINDOW_MAX 4       /* blocks that the host may have unanswered */

@@ -5,7 +5,10 @@
 #include "avr_timer.h"
 #include "bench.h"
 
+#define PORTB_ADDRESS 0x25
 #define PORTD_ADDRESS 0x2B
+#define TCCR1A_ADDRESS 0x80
+#define TCCR1C_ADDRESS 0x82
 #define MCUSR_ADDRESS 0x54
 #define DIR_BIT 7
 #define US_CYCLES 16
@@ -39,11 +42,9 @@ static void drive(char port, int bit, int level)
     avr_raise_irq(avr_io_getirq(rig.avr, AVR_IOCTL_IOPORT_GETIRQ(port), bit), level);
 }
 
-static void on_step(struct avr_irq_t *irq, uint32_t value, void *param)
+static void on_step(int level)
 {
-    int level = value & 1;
-
-    if (level && !rig.step_pin) {
+    if (level) {
         rig.steps++;
         if (!rig.stalled)
             rig.position += rig.avr->data[PORTD_ADDRESS] & (1 << DIR_BIT) ? 1 : -1;
@@ -65,24 +66,105 @@ static avr_cycle_count_t strobe_on(avr_t *avr, avr_cycle_count_t when, void *par
     return 0;
 }
 
-static void on_trigger(struct avr_irq_t *irq, uint32_t value, void *param)
+static void tell_edge(const char *what)
 {
-    int level = value & 1;
+    control_tell("%s %llu %lld %llu", what, (unsigned long long)rig.triggers - 1, (long long)rig.position,
+                 (unsigned long long)rig.avr->cycle);
+}
 
-    if (level && !rig.trigger_pin) {
-        note("trigger", rig.triggers, level);
-        if (++rig.triggers == rig.drop_at) {
-            control_tell("dropped %llu %lld %llu", (unsigned long long)rig.triggers - 1, (long long)rig.position,
-                         (unsigned long long)rig.avr->cycle);
-        } else {
-            rig.delivered++;
-            control_tell("trigger %llu %lld %llu", (unsigned long long)rig.triggers - 1, (long long)rig.position,
-                         (unsigned long long)rig.avr->cycle);
-            if (rig.strobes)
-                avr_cycle_timer_register(rig.avr, rig.strobe_delay_cycles, strobe_on, NULL);
-        }
-    }
+static void on_trigger(int level)
+{
     rig.trigger_pin = level;
+    if (!level)
+        return;
+    note("trigger", rig.triggers, level);
+    if (++rig.triggers == rig.drop_at) {
+        tell_edge("dropped");
+        return;
+    }
+    rig.delivered++;
+    tell_edge("trigger");
+    if (rig.strobes)
+        avr_cycle_timer_register(rig.avr, rig.strobe_delay_cycles, strobe_on, NULL);
+}
+
+/* simavr 1.6 knows no forced match and lets port writes through while a compare output is connected. So the two outputs
+ * are modelled here as the data sheet has them: connected (COM bits not 0) a pin shows its latch, else its port bit. */
+static struct output {
+    int latch, com, port, level;
+    void (*moved)(int level);
+} step_output = {.moved = on_step}, trigger_output = {.moved = on_trigger};
+
+static void show(struct output *o)
+{
+    int level = o->com ? o->latch : o->port;
+
+    if (level != o->level) {
+        o->level = level;
+        o->moved(level);
+    }
+}
+
+static void match(struct output *o)
+{
+    if (o->com == 1)
+        o->latch = !o->latch;
+    else if (o->com)
+        o->latch = o->com == 3;
+    show(o);
+}
+
+static void on_match(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    struct output *o = param;
+
+    /* In set mode a 0 is what simavr raises at overflows and writes: no match. Other modes never wait for a match here. */
+    if (o->com == 3 && (value & 1))
+        match(o);
+}
+
+static void on_tccr1a(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    step_output.com = value >> 6;
+    trigger_output.com = value >> 4 & 3;
+    show(&step_output);
+    show(&trigger_output);
+}
+
+static void on_tccr1c(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    if (value & 0x80)
+        match(&step_output);
+    if (value & 0x40)
+        match(&trigger_output);
+}
+
+static void on_portb(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    step_output.port = value >> 1 & 1;
+    trigger_output.port = value >> 2 & 1;
+    show(&step_output);
+    show(&trigger_output);
+}
+
+static void outputs_init(avr_t *avr)
+{
+    avr_irq_t *compare = avr_io_getirq(avr, AVR_IOCTL_TIMER_GETIRQ('1'), TIMER_IRQ_OUT_COMP);
+
+    avr_irq_register_notify(compare, on_match, &step_output);
+    avr_irq_register_notify(compare + 1, on_match, &trigger_output);
+    avr_register_io_write(avr, TCCR1A_ADDRESS, on_tccr1a, NULL);
+    avr_register_io_write(avr, TCCR1C_ADDRESS, on_tccr1c, NULL);
+    avr_register_io_write(avr, PORTB_ADDRESS, on_portb, NULL);
+}
+
+/* A reset disconnects both outputs and clears the latches. */
+static void outputs_reset(void)
+{
+    step_output.latch = step_output.com = step_output.port = 0;
+    trigger_output.latch = trigger_output.com = trigger_output.port = 0;
+    show(&step_output);
+    show(&trigger_output);
 }
 
 static void on_lamp(struct avr_irq_t *irq, uint32_t value, void *param)
@@ -111,8 +193,7 @@ static void on_driver(struct avr_irq_t *irq, uint32_t value, void *param)
 void rig_init(avr_t *avr)
 {
     rig.avr = avr;
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 1), on_step, NULL);
-    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 2), on_trigger, NULL);
+    outputs_init(avr);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 5), on_lamp, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 6), on_driver, NULL);
     drive('B', 0, 0);
@@ -148,6 +229,7 @@ void rig_reset(const char *cause)
     uint8_t flag = !strcmp(cause, "power") ? 1 : !strcmp(cause, "brownout") ? 4 : !strcmp(cause, "watchdog") ? 8 : 2;
 
     avr_reset(rig.avr);
+    outputs_reset();
     rig.avr->data[MCUSR_ADDRESS] = flag;
     rig.limit_level = -1;
     drive('B', 0, 0);

@@ -21,6 +21,10 @@
 #define BYTES_PER_POLL 16 /* so that one pass of the loop stays short */
 #define REPORT_GAP_MS 2   /* unasked reports come no faster */
 
+_Static_assert(sizeof(struct report_body) + REPORT_EVENTS_MAX * sizeof(struct event_body) <= BODY_MAX, "a report fits");
+_Static_assert(sizeof(struct segment_body) <= COMMAND_BODY_MAX && sizeof(struct config_body) <= COMMAND_BODY_MAX,
+               "commands fit");
+
 static struct window window;
 static uint8_t block[RX_BLOCK], block_size;
 static uint8_t reply[TX_BLOCK];
@@ -297,6 +301,8 @@ static void take_bytes(void)
 {
     int16_t byte;
 
+    if (uart_room() < TX_BLOCK + 2)
+        return; /* an answer would not fit: the bytes wait, the host's window bounds them */
     for (uint8_t i = 0; i < BYTES_PER_POLL && (byte = uart_read()) >= 0; i++) {
         if (byte == 0) {
             end_of_block();

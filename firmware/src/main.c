@@ -51,10 +51,10 @@ int main(void)
     wdt_enable(WDTO_120MS);
     sei();
     for (;;) {
-        uint16_t begin = TCNT1;
+        uint16_t begin = steps_ticks();
         wdt_reset();
         link_poll();
         machine_poll();
-        link_loop_time((uint16_t)(TCNT1 - begin) / 2);
+        link_loop_time((uint16_t)(steps_ticks() - begin) / (TICKS_PER_S / 1000000));
     }
 }

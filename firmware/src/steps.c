@@ -39,18 +39,17 @@ void steps_init(void)
     TIMSK1 = _BV(TOIE1) | _BV(ICIE1);
 }
 
-/* After a match the compare latch is high. A forced match in toggle mode brings it back; disconnected, the pin shows its
- * port bit. Between matches the output is connected only in "set" mode: simavr 1.6 moves a pin in "clear" mode at every
- * write to a compare register. The write to the port is what it needs to see the pin fall. */
+/* After a match the compare latch is high and must be low again before it is connected for the next edge. A forced match
+ * in toggle mode does that; then the pin is disconnected and shows its port bit, which is 0. (A forced match in clear mode
+ * would do too, but simavr 1.6 moves a pin in clear mode at every write to a compare register.) */
 static inline void step_low(void)
 {
     TCCR1A = (TCCR1A & ~COM_A) | _BV(COM1A0);
     TCCR1C = _BV(FOC1A);
-    PORTB &= ~_BV(STEP_PIN);
     TCCR1A &= ~COM_A;
 }
 
-/* TRIGGER is high by its latch and its port bit: both fall. */
+/* TRIGGER is held high by its port bit while other edges pass; the latch goes first, so that there is one falling edge. */
 static inline void trigger_low(void)
 {
     TCCR1A = (TCCR1A & ~COM_B) | _BV(COM1B0);
@@ -299,6 +298,17 @@ void steps_strobe_falls(uint8_t falls)
         TCCR1B &= ~_BV(ICES1);
     else
         TCCR1B |= _BV(ICES1);
+}
+
+uint16_t steps_ticks(void)
+{
+    uint16_t now;
+
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) /* its two bytes pass through a register that interrupts use too */
+    {
+        now = TCNT1;
+    }
+    return now;
 }
 
 uint64_t steps_cycles(void)

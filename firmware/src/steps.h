@@ -31,6 +31,7 @@ void steps_pulse(uint16_t trigger_pulse_us);
 void steps_segment(uint16_t segment_id);
 uint8_t steps_alarm(void);                      /* ALARM_ code since the last call */
 void steps_strobe_falls(uint8_t falls);
+uint16_t steps_ticks(void);                     /* the timer, for short differences */
 uint64_t steps_cycles(void);                    /* CPU cycles since the start */
 
 extern struct ledger steps_ledger;              /* written by interrupts: read it atomically */

@@ -1,0 +1,376 @@
+"""The serial link to the firmware: a thread that keeps the session, runs each command once and comes back by itself."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import select
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Protocol
+
+import serial
+
+from acquire.contract.errors import SweepscopeError
+from acquire.framing import Block, BlockReader, encode_block
+
+from .sending import Command, SendWindow, Timing
+from .wire import (
+    PROTOCOL_MAJOR,
+    PROTOCOL_MINOR,
+    WIRE_CRC,
+    AckBody,
+    Cmd,
+    EventBody,
+    HelloBody,
+    HelloReplyBody,
+    Msg,
+    ReportBody,
+    Result,
+    unpack_report,
+)
+
+logger = logging.getLogger(__name__)
+
+_IDLE_S = 0.02
+"""Longest rest of the thread: it also asks the handler for its poll this often."""
+_HELLO_AGAIN_S = 0.1
+_REOPEN_S = 0.2
+
+
+class LinkLostError(SweepscopeError):
+    """The controller does not answer."""
+
+
+class FirmwareMismatchError(SweepscopeError):
+    """Something answers, but it is no firmware that this driver can trust."""
+
+
+class LinkHandler(Protocol):
+    """Who is told what comes over the link; called from the link's thread."""
+
+    def on_report(self, report: ReportBody, events: tuple[EventBody, ...]) -> None:
+        """The firmware's state and new trigger events."""
+        ...
+
+    def on_lost(self, detail: str) -> None:
+        """The controller is gone; the link tries to get it back."""
+        ...
+
+    def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
+        """It is back; ``same_session`` is False if it has restarted meanwhile."""
+        ...
+
+    def poll(self) -> bytes | None:
+        """Body of the next status question, or None to stay silent (the lease then runs out)."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinkTiming:
+    """Waits of the link in seconds."""
+
+    hello_s: float = 3.0
+    """How long the first handshake may take."""
+    silence_s: float = 1.5
+    """Unanswered for so long: the controller is gone."""
+    sending: Timing = Timing()
+
+
+class Link:
+    """One controller on one port. ``open_port`` is called again whenever the port was lost."""
+
+    def __init__(self, open_port: Callable[[], serial.Serial], handler: LinkHandler, timing: LinkTiming) -> None:
+        self._open_port = open_port
+        self._handler = handler
+        self._timing = timing
+        self._window = SendWindow(timing.sending)
+        self._reader = BlockReader()
+        self._lock = threading.Lock()
+        self._port: serial.Serial | None = None
+        self._thread: threading.Thread | None = None
+        self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._closing = False
+        self._realtime = b""
+        self._nonce = 0
+        self._boot_id = -1
+        self._heard_s = 0.0
+        self._unanswered_since_s: float | None = None
+        self._first_hello: Future[HelloReplyBody] = Future()
+        self.lost_count = 0
+
+    # ---- for the owner ----
+
+    def open(self) -> HelloReplyBody:
+        """Open the port and shake hands.
+
+        Raises:
+            PortError: the port cannot be opened.
+            LinkLostError: nothing answers.
+            FirmwareMismatchError: another firmware answers.
+        """
+        self._port = self._open_port()
+        self._thread = threading.Thread(target=self._run, name="stage-link", daemon=True)
+        self._thread.start()
+        try:
+            return self._first_hello.result(timeout=self._timing.hello_s + 2.0)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the thread and close the port; idempotent."""
+        self._closing = True
+        self._wake()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=5)
+            self._thread = None
+        self._drop_port()
+        self._fail_all("the link is closed")
+        for fd in (self._wake_read, self._wake_write):
+            if fd >= 0:
+                os.close(fd)
+        self._wake_read = self._wake_write = -1
+
+    def send(self, kind: Cmd, body: bytes = b"") -> Future[Block]:
+        """Queue a command; the future holds its answer, or LinkLostError."""
+        command = Command(kind, body)
+        with self._lock:
+            if self._closing or self._port is None or self._nonce == 0:
+                command.answer.set_exception(LinkLostError("the stage's controller is not connected"))
+            elif not self._window.put(command):
+                command.answer.set_exception(LinkLostError("the stage's controller does not answer"))
+        self._wake()
+        return command.answer
+
+    def ask(self, kind: Cmd, body: bytes = b"", timeout_s: float = 3.0) -> Block:
+        """Send a command and wait for its answer.
+
+        Raises:
+            LinkLostError: no answer within ``timeout_s``.
+        """
+        try:
+            return self.send(kind, body).result(timeout=timeout_s)
+        except TimeoutError as error:
+            raise LinkLostError(f"the stage's controller did not answer {kind.name} in {timeout_s} s") from error
+
+    def realtime(self, data: bytes) -> None:
+        """Bytes that overtake all queued commands."""
+        with self._lock:
+            self._realtime += b"\0" + data
+        self._wake()
+
+    @property
+    def connected(self) -> bool:
+        """True while a session stands."""
+        return self._nonce != 0
+
+    def counters(self) -> dict[str, int]:
+        """Blocks damaged on arrival, blocks sent again, sessions lost."""
+        return {"damaged": self._reader.damaged, "resent": self._window.resent, "lost": self.lost_count}
+
+    # ---- the thread ----
+
+    def _wake(self) -> None:
+        with contextlib.suppress(OSError):
+            os.write(self._wake_write, b"w")
+
+    def _run(self) -> None:
+        try:
+            hello, _same = self._shake_hands(_new_nonce(), 0)
+        except (SweepscopeError, OSError) as error:
+            self._first_hello.set_exception(
+                error if isinstance(error, SweepscopeError) else LinkLostError(f"the stage's port failed: {error}")
+            )
+            return
+        self._first_hello.set_result(hello)
+        while not self._closing:
+            try:
+                self._turn()
+            except (OSError, LinkLostError) as error:
+                self._lose(str(error))
+
+    def _turn(self) -> None:
+        port = self._need_port()
+        self._write(port)
+        self._wait(port)
+        self._read(port)
+        self._watch_silence()
+        body = self._handler.poll()
+        if body is not None and not self._window.holds(Cmd.STATUS):
+            with self._lock:
+                self._window.put(Command(Cmd.STATUS, body))
+
+    def _need_port(self) -> serial.Serial:
+        if self._port is None:
+            raise LinkLostError("the stage's port is closed")
+        return self._port
+
+    def _write(self, port: serial.Serial) -> None:
+        with self._lock:
+            now_s = time.monotonic()
+            out, self._realtime = self._realtime, b""
+            out += b"".join(encode_block(block) for block in self._window.due(now_s))
+        self._write_all(port, out)
+
+    def _write_all(self, port: serial.Serial, out: bytes) -> None:
+        """A pty or USB buffer takes some kilobytes: what does not fit now is lost to the line, and sent again."""
+        if out:
+            with contextlib.suppress(BlockingIOError):
+                os.write(port.fileno(), out)
+
+    def _wait(self, port: serial.Serial) -> None:
+        deadline_s = self._window.deadline_s
+        rest_s = _IDLE_S if deadline_s is None else min(max(deadline_s - time.monotonic(), 0.0), _IDLE_S)
+        _until_readable(rest_s, port.fileno(), self._wake_read)
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 4096)
+
+    def _read(self, port: serial.Serial) -> None:
+        try:
+            data = os.read(port.fileno(), 4096)
+        except BlockingIOError:
+            return
+        if not data and not self._alive(port):
+            raise LinkLostError("the cable was pulled")
+        for block in self._reader.feed(data):
+            self._heard_s = time.monotonic()
+            self._take(port, block)
+
+    def _alive(self, port: serial.Serial) -> bool:
+        """An empty read means no data, or a line that is gone: asking for the count tells."""
+        try:
+            return port.in_waiting >= 0
+        except OSError:
+            return False
+
+    def _take(self, port: serial.Serial, block: Block) -> None:
+        try:
+            if block.kind == Msg.ACK and AckBody.unpack(block.body).result == Result.NO_SESSION:
+                raise LinkLostError("the stage's controller has restarted")
+            with self._lock:
+                again = self._window.take(block, time.monotonic())
+            self._write_all(port, b"".join(encode_block(each) for each in again))
+            if block.kind == Msg.REPORT:
+                self._handler.on_report(*unpack_report(block.body))
+        except ValueError as error:
+            logger.warning("a sound block made no sense: %s", error)
+
+    def _watch_silence(self) -> None:
+        now_s = time.monotonic()
+        if self._window.idle:
+            self._unanswered_since_s = None
+        elif self._unanswered_since_s is None:
+            self._unanswered_since_s = now_s
+        elif now_s - max(self._heard_s, self._unanswered_since_s) > self._timing.silence_s:
+            raise LinkLostError(f"the stage's controller was silent for {self._timing.silence_s} s")
+
+    # ---- losing it and getting it back ----
+
+    def _lose(self, detail: str) -> None:
+        if self._closing:
+            return
+        self.lost_count += 1
+        old_nonce, self._nonce = self._nonce, 0
+        nonce = _new_nonce()  # one for all tries: an answer may be lost after the firmware has taken it over
+        self._fail_all(detail)
+        self._handler.on_lost(detail)
+        while not self._closing:
+            try:
+                self._drop_port()
+                self._port = self._open_port()
+                hello, same = self._shake_hands(nonce, old_nonce)
+            except (SweepscopeError, OSError) as error:
+                logger.info("the stage's controller is not back yet: %s", error)
+                self._pause(_REOPEN_S)
+                continue
+            self._handler.on_back(hello, same_session=same)
+            return
+
+    def _pause(self, duration_s: float) -> None:
+        _until_readable(duration_s, self._wake_read)
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake_read, 4096)
+
+    def _drop_port(self) -> None:
+        if self._port is not None:
+            with contextlib.suppress(OSError):
+                self._port.close()
+            self._port = None
+
+    def _fail_all(self, detail: str) -> None:
+        with self._lock:
+            lost = self._window.reset()
+        for command in lost:
+            command.answer.set_exception(LinkLostError(detail))
+
+    def _shake_hands(self, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
+        port = self._need_port()
+        deadline_s = time.monotonic() + self._timing.hello_s
+        hello = encode_block(Block(0, Cmd.HELLO, HelloBody(PROTOCOL_MAJOR, PROTOCOL_MINOR, nonce).pack()))
+        heard = b""
+        while time.monotonic() < deadline_s and not self._closing:
+            self._write_all(port, hello)
+            again_s = time.monotonic() + _HELLO_AGAIN_S
+            while (now_s := time.monotonic()) < again_s and not self._closing:
+                data = self._read_raw(port, again_s - now_s)
+                heard = (heard + data)[:64]
+                for block in self._reader.feed(data):
+                    if block.kind == Msg.HELLO:
+                        return self._accept(HelloReplyBody.unpack(block.body), nonce, old_nonce)
+        raise _nobody(heard)
+
+    def _read_raw(self, port: serial.Serial, timeout_s: float) -> bytes:
+        _until_readable(timeout_s, port.fileno())
+        try:
+            data = os.read(port.fileno(), 4096)
+        except BlockingIOError:
+            return b""
+        if not data and not self._alive(port):
+            raise LinkLostError("the cable was pulled")
+        return data
+
+    def _accept(self, hello: HelloReplyBody, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
+        if hello.major != PROTOCOL_MAJOR:
+            raise FirmwareMismatchError(
+                f"the firmware speaks protocol {hello.major}.{hello.minor}, this program {PROTOCOL_MAJOR}."
+                f"{PROTOCOL_MINOR}: nothing has moved; flash the firmware of this version (make -C firmware flash)"
+            )
+        if hello.wire_crc != WIRE_CRC:
+            raise FirmwareMismatchError(
+                f"the firmware was built from other declarations ({hello.wire_crc:08x}) than this program "
+                f"({WIRE_CRC:08x}): nothing has moved; flash the firmware of this version (make -C firmware flash)"
+            )
+        same = old_nonce != 0 and hello.previous_nonce == old_nonce and hello.boot_id == self._boot_id
+        with self._lock:
+            self._window.reset()
+            self._nonce, self._boot_id = nonce, hello.boot_id
+            self._heard_s = time.monotonic()
+        return hello, same
+
+
+def _new_nonce() -> int:
+    return secrets.randbelow(0xFFFF_FFFF) + 1
+
+
+def _until_readable(timeout_s: float, *fds: int) -> None:
+    poller = select.poll()
+    for fd in fds:
+        poller.register(fd, select.POLLIN)
+    poller.poll(timeout_s * 1000)
+
+
+def _nobody(heard: bytes) -> SweepscopeError:
+    if heard:
+        return FirmwareMismatchError(
+            f"another firmware answers on the stage's port ({heard[:16].hex(' ')} ...): nothing has moved; "
+            "flash ours (make -C firmware flash), or name another port in stage.port"
+        )
+    return LinkLostError(
+        "nothing answers on the stage's port: is the controller powered, is it the right port, is our firmware on it?"
+    )
