@@ -12,18 +12,18 @@ from acquire.stages.protocol import Alarm, Moved, Stopped
 from acquire.stages.uno_config import switch_position_steps
 
 
+def make(build_dir, target):
+    command = ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={build_dir}", target]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+
+
 def test_the_pure_parts_hold_when_compiled_for_this_machine(tmp_path):
-    done = subprocess.run(
-        ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={tmp_path}", "test"], capture_output=True, text=True, timeout=100
-    )
+    done = make(tmp_path, "test")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_flash_and_ram_leave_the_room_that_the_stack_needs(firmware):
-    done = subprocess.run(
-        ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={firmware[0].parent}", "size"],
-        capture_output=True, text=True, timeout=100,
-    )  # fmt: skip
+    done = make(firmware[0].parent, "size")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
