@@ -87,8 +87,12 @@ class SendWindow:
         return blocks
 
     def _fits(self, command: Command) -> bool:
+        """Counted from the oldest unanswered one: the firmware remembers only so many results."""
+        if not self._flying:
+            return True
         in_flight = sum(len(flying.body) + 10 for flying in self._flying)
-        return len(self._flying) < WINDOW_MAX and in_flight + len(command.body) + 10 <= BYTES_IN_FLIGHT_MAX
+        span = (self._next - self._flying[0].sequence) & 0xFF
+        return span < WINDOW_MAX and in_flight + len(command.body) + 10 <= BYTES_IN_FLIGHT_MAX
 
     def _again(self, now_s: float) -> list[Block]:
         self._resend_at_s = now_s + self._wait_s

@@ -29,6 +29,16 @@ def test_commands_go_out_in_order_and_no_more_than_the_window():
     assert [block.body for block in window.due(0.3)] == [bytes([4])]
 
 
+def test_a_lost_answer_stops_new_commands_before_the_firmware_forgets_its_result():
+    window, _ = filled(20)
+    window.due(0.0)
+    for sequence in (1, 2, 3):
+        window.take(ack(sequence), 0.1)
+    assert window.due(0.2) == []
+    window.take(ack(0), 0.3)
+    assert [block.sequence for block in window.due(0.4)] == [4, 5, 6, 7]
+
+
 def test_an_answer_completes_its_own_command_only():
     window, commands = filled(3)
     window.due(0.0)
