@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from acquire.framing import Block
 
-from .wire import WINDOW_MAX, AckBody, Msg, ReportBody, Result
+from .wire import WINDOW_MAX, AckBody, Cmd, Msg, ReportBody, Result
 
 BYTES_IN_FLIGHT_MAX = 110
 """What the firmware's receive buffer holds, less one byte per block of reserve."""
@@ -120,7 +120,7 @@ class SendWindow:
 
     def _complete(self, block: Block, now_s: float) -> None:
         for command in self._flying:
-            if command.sequence == block.sequence:
+            if command.sequence == block.sequence and _answers(block.kind, command.kind):
                 self._flying.remove(command)
                 self._wait_s = self._timing.resend_s
                 self._resend_at_s = now_s + self._wait_s
@@ -135,6 +135,13 @@ class SendWindow:
         self._next = 0
         self._wait_s = self._timing.resend_s
         return lost
+
+
+def _answers(reply: int, command: int) -> bool:
+    """A report that nobody asked for carries sequence 0, and must not pass for the answer to another command."""
+    if reply == Msg.REPORT:
+        return command in (Cmd.STATUS, Cmd.EVENTS)
+    return reply == Msg.ACK or (reply == Msg.DIAGNOSIS and command == Cmd.DIAGNOSE)
 
 
 def _block(command: Command) -> Block:

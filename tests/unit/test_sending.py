@@ -77,6 +77,13 @@ def test_a_report_that_nobody_asked_for_is_no_answer():
     assert status.answer.done()
 
 
+def test_a_report_never_answers_a_command_that_asked_for_none():
+    window, commands = filled(1)
+    window.due(0.0)
+    window.take(Block(0, Msg.REPORT, ReportBody(1, *([0] * 15)).pack()), 0.1)
+    assert not commands[0].answer.done()
+
+
 def test_sequence_numbers_wrap_and_start_again_with_a_session():
     window = SendWindow(TIMING)
     for index in range(300):
