@@ -14,7 +14,7 @@
 #define US_CYCLES 16
 
 struct rig rig = {.limit_at = -1000000000, .limit_forced = -1, .limit_level = -1, .strobes = 1,
-                  .strobe_delay_cycles = 50 * US_CYCLES, .strobe_cycles = 1000 * US_CYCLES};
+                  .strobe_delay_cycles = 50 * US_CYCLES, .strobe_cycles = 100 * US_CYCLES};
 
 static uint16_t saved_code;
 static avr_flashaddr_t saved_at;

@@ -4,6 +4,7 @@
 #include "ramp.h"
 #include "steps.h"
 
+#define PUMP_BUDGET 16    /* pieces planned in one go */
 #define CHUNK_TICKS 15000 /* long intervals are cut into pieces of this */
 
 static struct profile profile;
@@ -101,7 +102,8 @@ static void plan_step(void)
 
 void motion_pump(void)
 {
-    while (planning) {
+    /* Bounded: where planning is hardly faster than the steps, switches and serial line must have their turn too. */
+    for (uint8_t budget = PUMP_BUDGET; planning && budget; budget--) {
         if (!pending) {
             plan_step();
             continue;

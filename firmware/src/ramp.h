@@ -7,7 +7,7 @@
 #define RAMP_H
 #include <stdint.h>
 
-/* Interval constant: ramp_interval(k, n) is about k / sqrt(n + 1/2), k = f / sqrt(2 a), 8 fraction bits. */
+/* Interval constant: ramp_interval(k, n) is k / sqrt(2 n + 1), k = f / sqrt(a) in 1/256 ticks. */
 uint32_t ramp_constant(uint32_t acceleration);
 
 /* Interval in 1/256 ticks between two steps at rate steps per second. */
@@ -22,8 +22,12 @@ uint16_t ramp_distance(uint32_t constant, uint32_t cruise);
 struct profile {
     int32_t position, target;
     uint32_t constant, cruise; /* 1/256 ticks */
+    uint32_t interval;         /* of ramp index interval_n, kept because neighbours share it at high speed */
+    uint16_t interval_n;
     uint16_t n;
-    uint16_t fraction;         /* 1/256 ticks carried over */
+    uint16_t sure;             /* steps to come that need no look at the target */
+    uint8_t way;               /* how those steps go */
+    uint8_t fraction;          /* 1/256 ticks carried over */
     int8_t direction;
     uint8_t cruising;          /* the last step had the cruise interval */
 };

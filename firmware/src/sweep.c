@@ -11,6 +11,7 @@ static struct segment_body segment;
 static uint32_t first_id;    /* trigger id of shot 0 */
 static uint32_t planned;     /* shots fired or queued */
 static uint32_t fly_cruise;
+static int32_t next_shot;    /* position of shot number planned, in fly mode */
 static uint8_t after_hold, must_approach;
 
 static uint32_t fired(void)
@@ -148,6 +149,7 @@ static void wait_credit(void)
     machine.hold_reason = HOLD_NONE;
     if (segment.mode == MODE_FLY) {
         machine.phase = PHASE_FLY;
+        next_shot = shot_position(planned);
         motion_fly(shot_position(segment.count - 1) + run_up(), fly_cruise);
     } else {
         machine.phase = PHASE_STEP;
@@ -249,7 +251,7 @@ uint8_t sweep_planned_step(int32_t position)
 {
     uint8_t may;
 
-    if (machine.phase != PHASE_FLY || position != shot_position(planned))
+    if (position != next_shot || machine.phase != PHASE_FLY)
         return 0;
     if (!motion_cruising())
         return 0; /* comes to rest in PHASE_FLY: an alarm */
@@ -263,6 +265,7 @@ uint8_t sweep_planned_step(int32_t position)
         motion_halt();
         return 0;
     }
+    next_shot += segment.pitch;
     if (++planned == segment.count) {
         machine.phase = PHASE_FINISH;
         motion_halt();

@@ -86,10 +86,11 @@ static void intervals_follow_the_square_root(void)
 
     for (unsigned a = 0; a < 4; a++) {
         uint32_t k = ramp_constant(accelerations[a]);
-        double exact_k = 256.0 * TICKS_PER_S / sqrt(2.0 * accelerations[a]);
+        double exact_k = 256.0 * TICKS_PER_S / sqrt(accelerations[a]);
         CHECK(fabs(k - exact_k) < 2);
+        CHECK(fabs(ramp_interval(k, 0) - exact_k * sqrt(2)) < exact_k * 2e-3);
         for (uint32_t n = 1; n < 65535; n = n * 9 / 8 + 1) {
-            double exact = exact_k / sqrt(n + 0.5);
+            double exact = exact_k / sqrt(2.0 * n + 1);
             CHECK(fabs(ramp_interval(k, (uint16_t)n) - exact) < exact * 3e-4 + 2);
         }
     }
