@@ -87,6 +87,10 @@ def build_rig(config: RigConfig) -> Rig:
     """
     if config.stage.kind == "simulated" and config.camera.kind == "simulated":
         return SimulatedRig(config)
+    if config.stage.kind == "uno" and config.stage.port == "emulator" and config.camera.kind == "simulated":
+        from .twin import TwinRig  # noqa: PLC0415 - it needs the AVR tools
+
+        return TwinRig(config)
     raise ConfigError(
         f"no driver for stage.kind = '{config.stage.kind}' with camera.kind = '{config.camera.kind}' "
         "in this version: set both to 'simulated'"

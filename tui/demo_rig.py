@@ -38,6 +38,8 @@ class DemoOptions:
     seed: int | None = None
     max_rate_hz: float | None = None
     data_dir: Path = DATA_DIR
+    twin: bool = False
+    """Run the real firmware in an emulator instead of the simulated stage."""
 
     @classmethod
     def from_flags(
@@ -49,6 +51,8 @@ class DemoOptions:
         seed: int | None,
         max_rate_hz: float | None,
         data_dir: Path | None,
+        *,
+        twin: bool = False,
     ) -> DemoOptions:
         """Options from what was typed.
 
@@ -59,7 +63,7 @@ class DemoOptions:
             pixels = parse_size(size) if size else None
         except ValueError as error:
             raise ConfigError(str(error)) from None
-        return cls(pixels, frames, time_scale, specimen, seed, max_rate_hz, data_dir or DATA_DIR)
+        return cls(pixels, frames, time_scale, specimen, seed, max_rate_hz, data_dir or DATA_DIR, twin)
 
     def settings(self) -> dict[str, dict[str, Any]]:
         """The keys of rig.toml that are set; every other one has its default."""
@@ -67,7 +71,7 @@ class DemoOptions:
         wanted: dict[str, dict[str, Any]] = {
             "storage": {"data_dir": str(self.data_dir.resolve())},
             "camera": {"kind": "simulated", "width": width, "height": height},
-            "stage": {"kind": "simulated"},
+            "stage": {"kind": "uno", "port": "emulator"} if self.twin else {"kind": "simulated"},
             "sweep": {**self._sweep(), "max_rate_hz": self.max_rate_hz},
             "simulation": {"object": self.specimen, "seed": self.seed, "time_scale": self.time_scale},
             "viewer": {"port": 0},

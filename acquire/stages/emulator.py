@@ -157,9 +157,14 @@ class Emulator:
         fields.pop("port")
         return PinState(**{name: int(value) for name, value in fields.items()})
 
-    def watch(self, on_trigger: Callable[[TriggerEdge], None], on_lamp: Callable[[bool], None] | None = None) -> None:
+    def watch(
+        self,
+        on_trigger: Callable[[TriggerEdge], None],
+        on_lamp: Callable[[bool], None] | None = None,
+        on_dropped: Callable[[TriggerEdge], None] | None = None,
+    ) -> None:
         """Call back at each real trigger edge, from a thread that ends with the emulator."""
-        self._watchers.append(TriggerWatch(self.connect(), on_trigger, on_lamp))
+        self._watchers.append(TriggerWatch(self.connect(), on_trigger, on_lamp, on_dropped))
 
     def close(self) -> None:
         """End the bench; idempotent."""
@@ -186,9 +191,10 @@ class TriggerWatch:
         connection: socket.socket,
         on_trigger: Callable[[TriggerEdge], None],
         on_lamp: Callable[[bool], None] | None,
+        on_dropped: Callable[[TriggerEdge], None] | None,
     ) -> None:
         self._connection = connection
-        self._on_trigger, self._on_lamp = on_trigger, on_lamp
+        self._on_trigger, self._on_lamp, self._on_dropped = on_trigger, on_lamp, on_dropped
         connection.sendall(b"watch\n")
         if connection.recv(3) != b"ok\n":
             raise EmulatorError("the emulator cannot be watched")
@@ -211,5 +217,7 @@ class TriggerWatch:
     def _take(self, words: list[str]) -> None:
         if words[0] == "trigger":
             self._on_trigger(TriggerEdge(*map(int, words[1:4])))
+        elif words[0] == "dropped" and self._on_dropped is not None:
+            self._on_dropped(TriggerEdge(*map(int, words[1:4])))
         elif words[0] == "lamp" and self._on_lamp is not None:
             self._on_lamp(words[1] == "1")

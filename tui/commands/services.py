@@ -97,6 +97,7 @@ def up(session: Session) -> int:
 @click.option("--seed", type=int, hidden=True)
 @click.option("--rate", "max_rate_hz", type=float, hidden=True, help="Frames per second at most.")
 @click.option("--data-dir", type=click.Path(path_type=Path), hidden=True)
+@click.option("--twin", is_flag=True, help="Run the real firmware in an emulator (needs the AVR tools).")
 def demo(
     size: str | None,
     frames: int | None,
@@ -105,6 +106,7 @@ def demo(
     seed: int | None,
     max_rate_hz: float | None,
     data_dir: Path | None,
+    twin: bool,
 ) -> int:
     """Take a whole scan on a simulated rig.
 
@@ -114,7 +116,8 @@ def demo(
     from tui.demo import run_demo
     from tui.demo_rig import DemoOptions
 
-    return run_demo(DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir))
+    options = DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir, twin=twin)
+    return run_demo(options)
 
 
 COMMANDS: tuple[click.Command, ...] = (demo, up, console, daemon, writer, worker, viewer)

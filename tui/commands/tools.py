@@ -70,6 +70,16 @@ def pipeline(frames: int, size: tuple[int, int], as_json: bool) -> None:
     _show(bench_pipeline(frames, (size[1], size[0])), as_json)
 
 
+@bench.command()
+@_frames
+@json_option
+def stage(frames: int, as_json: bool) -> None:
+    """Measure the stage's firmware and serial link in the emulator (needs the AVR tools)."""
+    from acquire.bench_stage import bench_stage
+
+    _show(bench_stage(frames), as_json)
+
+
 def _show(figures: object, as_json: bool) -> None:
     if as_json:
         print_json(figures)
