@@ -98,7 +98,9 @@ class Emulator:
         self._control = str(self._folder / "control")
         arguments = ("--pace", pace, "--link", self.port, "--control", self._control, "--limit-at", limit_at)
         self._process = subprocess.Popen(
-            [str(program), str(elf), *map(str, arguments), "--seed", str(seed)], stdout=subprocess.PIPE
+            [str(program), str(elf), *map(str, arguments), "--seed", str(seed)],
+            stdout=subprocess.PIPE,
+            start_new_session=True,  # a signal to our group must not end it before the driver; it ends when we are gone
         )
         self._socket: socket.socket | None = None
         self._rest = b""

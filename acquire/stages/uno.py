@@ -221,9 +221,7 @@ class UnoStage:
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp; back when the firmware has done it, so that the next picture is taken by its light."""
         if _result(self._link.ask(Cmd.LAMP, LampBody(int(on)).pack())) == Result.ALARM:
-            raise CommandRefusedError(
-                "the lamp stays off: an alarm stands; release its cause, then home the stage"
-            )
+            raise CommandRefusedError("the lamp stays off: an alarm stands; release its cause, then home the stage")
 
     def keep_alive(self) -> None:
         """The host's main loop lives; also gives the activity up when the controller stays away."""
