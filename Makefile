@@ -3,7 +3,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
-APT := chromium fonts-dejavu-core tmux
+APT := chromium fonts-dejavu-core tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
 ifneq ($(shell id -u),0)
 SUDO := sudo
 endif
@@ -28,7 +28,7 @@ $(TEST_STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
 	@touch $@ $(STAMP)
 
-# what the tests need beside Python: a browser, a terminal multiplexer
+# what the tests need beside Python: a browser, a terminal multiplexer, the AVR compiler and its emulator
 system-packages:
 	@missing=""; for p in $(APT); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then \
