@@ -43,9 +43,9 @@ class PairedEdges:
     the edge.
     """
 
-    def __init__(self, expose: Callable[[int, int], None], zero_at: int) -> None:
-        """``expose`` takes the true position in microsteps of the specimen's frame, and the time in ns."""
-        self._expose, self._zero_at = expose, zero_at
+    def __init__(self, expose: Callable[[float, int, float], None], zero_at: int, um_per_microstep: float) -> None:
+        """``expose`` takes the true place at mid-exposure (microsteps), the time (ns), and the way during exposure."""
+        self._expose, self._zero_at, self._um = expose, zero_at, um_per_microstep
         self._lock = threading.Lock()
         self._edges: deque[tuple[TriggerEdge, bool]] = deque()
         self._reported: deque[Triggered] = deque()
@@ -94,7 +94,8 @@ class PairedEdges:
                 }
                 self._record.write(json.dumps(pair) + "\n")
             if delivered:
-                self._expose(position_steps, event.at_mono_ns)
+                half_way = 0.0 if event.position_um is None else event.position_um / self._um - event.position_steps
+                self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way))
 
 
 class TwinStage(UnoStage):
@@ -105,7 +106,8 @@ class TwinStage(UnoStage):
         lease_ms = min(config.motion_lease_ms * max(pace, 1.0), LEASE_MAX_MS)
         super().__init__(msgspec.structs.replace(config, port=self._emulator.port, motion_lease_ms=lease_ms))
         self._camera = camera
-        self.pairs = PairedEdges(camera.on_trigger, _LIMIT_AT - switch_position_steps(config))
+        zero_at = _LIMIT_AT - switch_position_steps(config)
+        self.pairs = PairedEdges(camera.on_trigger, zero_at, config.um_per_microstep)
         self._lamp_moved = threading.Condition()
 
     def open(self, sink: StageSink) -> StageInfo:

@@ -352,8 +352,17 @@ class UnoStage:
             if event.trigger_id == self._next_event:
                 self._next_event += 1
                 shot = event.trigger_id - self._first_id
-                fired.append(Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns))
+                middle_um = self._middle_um(event.position)
+                fired.append(Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns, middle_um))
         return fired
+
+    def _middle_um(self, position_steps: int) -> float | None:
+        """Where the stage is half an exposure after a trigger on the fly; None where it stands still."""
+        segment = self._segment
+        if segment.mode != "fly" or not segment.period_ms:
+            return None
+        half_way_steps = segment.pitch_steps * segment.dwell_ms / 2 / segment.period_ms
+        return (position_steps + half_way_steps) * self._config.um_per_microstep
 
     def _watch_hold(self, report: ReportBody) -> None:
         reason = McuHold(report.hold_reason) if report.state == McuState.HOLDING else McuHold.NONE

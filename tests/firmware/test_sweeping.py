@@ -51,6 +51,13 @@ def test_fly_mode_triggers_are_evenly_spaced_to_the_microsecond(bench):
     assert abs(sum(gaps) / len(gaps) - 16_000_000 / 60) < 16
 
 
+def test_the_position_of_a_frame_taken_on_the_fly_is_the_one_at_mid_exposure(bench):
+    (shot, *_) = bench.sweep(Segment(30, 4, 5, mode="fly", period_ms=20, dwell_ms=10, run_up_steps=20))
+    assert shot.position_um == pytest.approx((30 + 4 * 5 / 20) * bench.config.um_per_microstep)
+    (shot, *_) = bench.sweep(STEP)
+    assert shot.position_um is None
+
+
 def test_no_shot_is_fired_without_credit_and_the_grant_is_absolute(bench):
     bench.stage.begin_segment(STEP, 3)
     bench.wait_until(lambda event: isinstance(event, Triggered) and event.shot_index == 3)

@@ -96,7 +96,8 @@ def test_the_pins_agree_with_what_is_counted_at_every_frame(twin, tmp_path):
     pairs = [json.loads(line) for line in (tmp_path / "pins").read_text().splitlines()]
     assert [pair["true_steps"] for pair in pairs] == [shot.position_steps for shot in shots]
     assert all(pair["true_steps"] == pair["counted_steps"] for pair in pairs)
-    assert len({pair["true_cycles"] - pair["counted_cycles"] for pair in pairs}) <= 2  # one clock, one offset
+    offsets = [pair["true_cycles"] - pair["counted_cycles"] for pair in pairs]
+    assert max(offsets) - min(offsets) <= 16  # one clock, one offset; edges are seen between two instructions
     assert twin.rig._twin.pairs.differences == 0
 
 
