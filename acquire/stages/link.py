@@ -75,8 +75,8 @@ class LinkHandler(Protocol):
 class LinkTiming:
     """Waits of the link in seconds."""
 
-    hello_s: float = 3.0
-    """How long the first handshake may take."""
+    hello_s: float = 4.0
+    """How long a handshake may take; an Uno's loader keeps it waiting for two seconds after a reset."""
     silence_s: float = 1.5
     """Unanswered for so long: the controller is gone."""
     sending: Timing = Timing()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import grp
+import termios
 from pathlib import Path
 
 import serial
@@ -57,7 +59,16 @@ def open_port(name: str, baud: int) -> serial.Serial:
         raise _in_words(name, error) from error
     except OSError as error:
         raise PortError(f"cannot open {name}: {error.strerror}; is it a serial port?") from error
+    _keep_dtr(port)
     return port
+
+
+def _keep_dtr(port: serial.Serial) -> None:
+    """Leave DTR up when the port is closed: on an Uno its next rise resets the controller, and the position is lost."""
+    with contextlib.suppress(termios.error):
+        attributes = termios.tcgetattr(port.fileno())
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
 
 
 def _there_is(ports: list[str]) -> str:

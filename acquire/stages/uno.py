@@ -52,6 +52,7 @@ logger = logging.getLogger(__name__)
 _POLL_ACTIVE_S = 0.02
 _POLL_IDLE_S = 0.2
 _RESUME_AGAIN_S = 0.1
+_REST_S = 5.0
 _RECONNECT_S = 15.0
 """So long the controller may be away before the activity is given up."""
 
@@ -120,6 +121,7 @@ class UnoStage:
             counts_triggers=True,
             counts_strobes=True,
             has_limit_switch=True,
+            modes=("step", "fly"),
         )
 
     def close(self) -> None:
@@ -253,14 +255,16 @@ class UnoStage:
         return self._report
 
     def _configure(self) -> None:
-        answer = self._link.ask(Cmd.CONFIGURE, self._body.pack())
-        result = _result(answer)
-        if result == Result.RANGE:
-            raise ConfigError("the firmware refuses [stage]: a rate, acceleration or travel is out of its bounds")
-        if result != Result.OK:
-            # it moves: a sweep that outlived its host is stopped before anything else
+        """A sweep that outlived its host is stopped first: its credit and its frames belonged to another process."""
+        deadline_s = time.monotonic() + _REST_S
+        while (result := _result(self._link.ask(Cmd.CONFIGURE, self._body.pack()))) != Result.OK:
+            if result == Result.RANGE:
+                raise ConfigError("the firmware refuses [stage]: a rate, acceleration or travel is out of its bounds")
+            if time.monotonic() > deadline_s:
+                raise LinkLostError(
+                    f"the stage does not come to rest in {_REST_S:.0f} s: look at it, then try again"
+                )
             self._link.ask(Cmd.STOP)
-            raise LinkLostError(f"the stage is busy ({result.name}): it was told to stop, try again")
 
     def _claim(self) -> None:
         with self._lock:

@@ -40,6 +40,31 @@ def shot(index):
     return lambda event: isinstance(event, Triggered) and event.shot_index >= index
 
 
+# ---- F01 the host dies ----
+
+
+def test_f01_a_new_host_finds_the_stage_at_rest_and_its_position_still_trusted(make_bench):
+    bench = make_bench(motion_lease_ms=300.0, pace=1.0)
+    zero_id = bench.stage.status().zero_id
+    bench.stage.begin_segment(LONG_FLY, LONG_FLY.count - 1)
+    bench.wait_until(shot(5))
+    bench.stage._link.close()  # no stop, no word: as a killed process leaves it
+    successor = UnoStage(bench.config)
+    try:
+        successor.open(bench.events.put)
+        found = successor.status()
+        assert found.position_trusted and found.zero_id == zero_id
+        pins = bench.pins()
+        assert pins.position - bench.offset == found.position_steps and pins.triggers < LONG_FLY.count
+        assert found.triggers == pins.triggers
+        successor.begin_segment(Segment(30, 3, 2, run_up_steps=20), 1)
+        bench.stage = successor
+        bench.wait(SegmentDone)
+    finally:
+        successor.close()
+    assert true_positions(bench)[-2:] == [30, 33]
+
+
 # ---- F11 noise ----
 
 
