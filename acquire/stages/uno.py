@@ -261,9 +261,7 @@ class UnoStage:
             if result == Result.RANGE:
                 raise ConfigError("the firmware refuses [stage]: a rate, acceleration or travel is out of its bounds")
             if time.monotonic() > deadline_s:
-                raise LinkLostError(
-                    f"the stage does not come to rest in {_REST_S:.0f} s: look at it, then try again"
-                )
+                raise LinkLostError(f"the stage does not come to rest in {_REST_S:.0f} s: look at it, then try again")
             self._link.ask(Cmd.STOP)
 
     def _claim(self) -> None:

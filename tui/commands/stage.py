@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import click
 
-from tui.commands.context import Session
+from tui.commands.context import Session, json_option, print_json
 
 
 @click.group()
@@ -29,6 +29,32 @@ def check(session: Session, port: str | None) -> int:
         config = msgspec.structs.replace(config, port=port)
     findings = StageCheck(UnoStage(config), click.echo, click.confirm).run()
     return int(any(not finding.good for finding in findings))
+
+
+@stage.command()
+@click.option("--position-steps", type=int, help="Where to look; default: the middle of the sweep.")
+@json_option
+@click.pass_obj
+def settle(session: Session, position_steps: int | None, as_json: bool) -> None:
+    """Measure how long the picture needs to come to rest after a step, and propose stage.settle_ms."""
+    import msgspec
+
+    from acquire.rig import build_rig
+    from acquire.settling import SettleMeasurement
+
+    rig = session.config().rig
+    if position_steps is None:
+        position_steps = (rig.sweep.first_steps + rig.sweep.last_steps) // 2
+    report = SettleMeasurement(build_rig(rig), rig, position_steps).run()
+    if as_json:
+        print_json(msgspec.to_builtins(report))
+        return
+    for delay_ms, difference in zip(report.delays_ms, report.differences, strict=True):
+        click.echo(f"{delay_ms:6.0f} ms  differs by {difference:6.3f} counts (at rest {report.noise:.3f})")
+    if report.settle_ms is None:
+        click.echo("the picture did not come to rest: is the stage screwed down, is the light steady?")
+    else:
+        click.echo(f"proposal: settle_ms = {report.settle_ms:g} in [stage]")
 
 
 COMMANDS: tuple[click.Command, ...] = (stage,)
