@@ -25,7 +25,7 @@ from acquire.stages.wire import Cmd, LampBody
 CYCLES_PER_US = 16
 _LIMIT_AT = -300
 _WAIT_S = 120.0
-_RATES = (5_000, 10_000, 15_000, 20_000, 22_500, 25_000)
+_RATES = (5_000, 10_000, 15_000, 20_000)
 _BUSY_ROUNDS = 3
 
 

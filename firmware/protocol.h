@@ -133,7 +133,7 @@
 #define MODE_FLY 1
 
 /* Bounds */
-#define RATE_MAX 25000          /* microsteps per second */
+#define RATE_MAX 20000          /* microsteps per second */
 #define RATE_MIN 1
 #define ACCEL_MIN 100           /* microsteps per second squared */
 #define ACCEL_MAX 1000000

@@ -5,6 +5,8 @@
 #include "steps.h"
 
 #define PUMP_BUDGET 16    /* pieces planned in one go */
+#define SLACK_TICKS 512   /* pieces as long as this leave time for anything */
+#define SLACK_ENTRIES 24  /* of shorter ones so many must wait: 1.2 ms at the highest rate, more than a block takes */
 #define CHUNK_TICKS 15000 /* long intervals are cut into pieces of this */
 
 static struct profile profile;
@@ -12,6 +14,7 @@ static uint32_t constant, fastest;
 static uint32_t pending;        /* ticks not yet queued */
 static uint8_t pending_flags, planning, flying;
 static uint8_t inverted;
+static uint16_t last_ticks;     /* of the newest piece */
 
 void motion_configure(const struct config_body *config)
 {
@@ -75,9 +78,16 @@ static uint8_t depth(uint16_t ticks)
     return ticks >= 4096 ? 2 : ticks >= 1024 ? 8 : STEPS_QUEUE - 1;
 }
 
+uint8_t motion_slack(void)
+{
+    return !planning || last_ticks >= SLACK_TICKS || steps_queued() >= SLACK_ENTRIES;
+}
+
 static uint8_t push_pending(void)
 {
     uint16_t ticks = pending > STEPS_TICKS_MAX ? CHUNK_TICKS : (uint16_t)pending;
+
+    last_ticks = ticks;
 
     if (steps_queued() >= depth(ticks))
         return 0;

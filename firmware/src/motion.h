@@ -12,6 +12,7 @@ void motion_wait(uint32_t ticks, uint8_t flags);         /* at rest: a pause, th
 void motion_halt(void);                                  /* brake */
 void motion_kill(void);                                  /* no step after this */
 void motion_pump(void);                                  /* plan ahead; call it often */
+uint8_t motion_slack(void);                              /* enough is planned for a block to be read or written */
 uint8_t motion_idle(void);
 uint8_t motion_cruising(void);
 uint16_t motion_run_up(uint32_t cruise);                 /* steps from rest to that speed */
