@@ -6,6 +6,7 @@ Needs the AVR tools and simavr (see firmware/README.md); nothing else in the pro
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import shutil
 import socket
 import subprocess
@@ -79,8 +80,11 @@ def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path
             f"the emulated stage needs {', '.join(missing)}: apt-get install gcc-avr avr-libc libsimavr-dev libelf-dev"
         )
     folder = (build_dir or FIRMWARE_DIR / "build").resolve()
+    folder.mkdir(parents=True, exist_ok=True)
     command = ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={folder}", "all", "sim", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=_BUILD_S, check=False)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two that start at once must not build into each other
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_BUILD_S, check=False)
     if done.returncode != 0:
         raise EmulatorError(f"the firmware does not build: {(done.stderr or done.stdout).strip()[-500:]}")
     return folder / "stage.elf", folder / "stage-sim"
