@@ -1,47 +1,32 @@
-"""The stage behind our firmware: turns calls into commands, reports into events, and never guesses a position."""
+"""The stage behind our firmware: turns calls into commands, and never guesses a position."""
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
-from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Literal
 
-import serial
-
-from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError
 from acquire.framing import Block
 
-from .link import Link, LinkLostError, LinkTiming
-from .ports import choose_port, open_port
-from .protocol import Alarm, Held, Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
-from .uno_config import config_body, segment_body
-from .uno_words import alarm_event, refusal, reset_words
+from .link import LinkLostError
+from .protocol import Segment, StageInfo, StageSink
+from .uno_config import segment_body
+from .uno_reports import Activity, UnoReports, result_of
+from .uno_words import refusal
 from .wire import (
-    LINK_BAUD,
     RT_ESTOP,
     RT_ESTOP_CONFIRM,
     RT_HOLD,
     RT_STOP,
     RT_STOP_CONFIRM,
-    AckBody,
     Cmd,
     DiagnosisBody,
-    EventBody,
-    Flag,
     GrantBody,
-    HelloReplyBody,
     LampBody,
-    McuAlarm,
     McuHold,
     McuState,
-    McuStop,
     MoveBody,
-    Msg,
-    ReportBody,
     Result,
     StatusBody,
     ZeroBody,
@@ -49,51 +34,15 @@ from .wire import (
 
 logger = logging.getLogger(__name__)
 
-_POLL_ACTIVE_S = 0.02
-_POLL_IDLE_S = 0.2
-_RESUME_AGAIN_S = 0.1
 _REST_S = 5.0
-_RECONNECT_S = 15.0
-"""So long the controller may be away before the activity is given up."""
-
-Activity = Literal["move", "home", "zero", "touch", "segment"]
 
 
-class UnoStage:
+class UnoStage(UnoReports):
     """Stage on an Arduino Uno with our firmware, real or emulated.
 
     Calls wait for the firmware's acknowledgement (milliseconds), never for motion; do not call from the sink.
     ``keep_alive`` must be called while something moves: without it the link falls silent and the firmware holds.
     """
-
-    def __init__(
-        self,
-        config: StageConfig,
-        *,
-        opener: Callable[[], serial.Serial] | None = None,
-        timing: LinkTiming | None = None,
-    ) -> None:
-        self._config = config
-        self._body = config_body(config)
-        self._link = Link(
-            opener or (lambda: open_port(choose_port(config.port), LINK_BAUD)), self, timing or LinkTiming()
-        )
-        self._sink: StageSink = lambda _event: None
-        self._lock = threading.RLock()
-        self._report: ReportBody | None = None
-        self._activity: Activity | None = None
-        self._claimed = False
-        self._segment_id = 0
-        self._segment = Segment(0, 1, 1)
-        self._first_id = 0
-        self._granted = -1
-        self._next_event = 0
-        self._hold_wanted = False
-        self._held_for = McuHold.NONE
-        self._lost_since_s: float | None = None
-        self._alive_s = self._polled_s = self._resumed_s = 0.0
-        self.strobes = 0
-        """Strobes that the firmware has seen since its start."""
 
     # ---- protocol ----
 
@@ -134,23 +83,6 @@ class UnoStage:
             except LinkLostError as error:
                 logger.warning("the stage was closed without an answer: %s", error)
         self._link.close()
-
-    def status(self) -> StageStatus:
-        """What the last report said."""
-        with self._lock:
-            report = self._report
-            lost = self._lost_since_s is not None
-            moving = self._activity is not None or self._claimed
-        if report is None:
-            return StageStatus(0, position_trusted=False, zero_id="", moving=False, triggers=0)
-        return StageStatus(
-            position_steps=report.position,
-            position_trusted=bool(report.flags & Flag.TRUSTED) and not lost,
-            zero_id=_zero_id(report),
-            moving=moving,
-            triggers=report.triggers,
-            lamp_on=bool(report.flags & Flag.LAMP),
-        )
 
     def move_to(self, position_steps: int) -> None:
         """Start a move."""
@@ -222,15 +154,8 @@ class UnoStage:
 
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp; back when the firmware has done it, so that the next picture is taken by its light."""
-        if _result(self._link.ask(Cmd.LAMP, LampBody(int(on)).pack())) == Result.ALARM:
+        if result_of(self._link.ask(Cmd.LAMP, LampBody(int(on)).pack())) == Result.ALARM:
             raise CommandRefusedError("the lamp stays off: an alarm stands; release its cause, then home the stage")
-
-    def keep_alive(self) -> None:
-        """The host's main loop lives; also gives the activity up when the controller stays away."""
-        self._alive_s = time.monotonic()
-        lost_s = self._lost_since_s
-        if lost_s is not None and self._alive_s - lost_s > _RECONNECT_S:
-            self._give_up("F12", "it did not come back")
 
     # ---- besides the protocol ----
 
@@ -238,26 +163,12 @@ class UnoStage:
         """The firmware's own counters."""
         return DiagnosisBody.unpack(self._link.ask(Cmd.DIAGNOSE).body)
 
-    def counters(self) -> dict[str, int]:
-        """The link's counters."""
-        return {**self._link.counters(), "strobes": self.strobes}
-
-    @property
-    def report(self) -> ReportBody:
-        """The firmware's last report."""
-        return self._need_report()
-
     # ---- starting something ----
-
-    def _need_report(self) -> ReportBody:
-        if self._report is None:
-            raise LinkLostError("the stage's controller has not reported yet")
-        return self._report
 
     def _configure(self) -> None:
         """A sweep that outlived its host is stopped first: its credit and its frames belonged to another process."""
         deadline_s = time.monotonic() + _REST_S
-        while (result := _result(self._link.ask(Cmd.CONFIGURE, self._body.pack()))) != Result.OK:
+        while (result := result_of(self._link.ask(Cmd.CONFIGURE, self._body.pack()))) != Result.OK:
             if result == Result.RANGE:
                 raise ConfigError("the firmware refuses [stage]: a rate, acceleration or travel is out of its bounds")
             if time.monotonic() > deadline_s:
@@ -279,7 +190,7 @@ class UnoStage:
 
     def _clear_alarm(self) -> None:
         try:
-            result = _result(self._link.ask(Cmd.CLEAR))
+            result = result_of(self._link.ask(Cmd.CLEAR))
             self._link.ask(Cmd.STATUS, StatusBody(self._next_event).pack())
         except BaseException:
             self._claimed = False
@@ -301,143 +212,14 @@ class UnoStage:
         answer = self._link.send(kind, body)
         answer.add_done_callback(lambda done: self._on_started(activity, done))
         try:
-            result = _result(answer.result(timeout=3.0))
+            result = result_of(answer.result(timeout=3.0))
         except TimeoutError as error:
             raise LinkLostError(f"the stage's controller did not answer {kind.name}") from error
         if result != Result.OK:
             raise refusal(result, kind, self._config)
 
     def _on_started(self, activity: Activity, done: Future[Block]) -> None:
-        if done.exception() is None and _result(done.result()) == Result.OK:
+        if done.exception() is None and result_of(done.result()) == Result.OK:
             with self._lock:
                 self._activity = activity
                 self._polled_s = 0.0
-
-    # ---- from the link's thread ----
-
-    def poll(self) -> bytes | None:
-        """Ask for the state: often while something moves, and only while the host's main loop lives."""
-        now_s = time.monotonic()
-        with self._lock:
-            report, active = self._report, self._activity is not None
-            behind = report is not None and report.triggers > self._next_event
-            seen = self._next_event
-        every_s = 0.0 if behind else _POLL_ACTIVE_S if active else _POLL_IDLE_S
-        if now_s - self._polled_s < every_s or (active and not self._host_lives(now_s)):
-            return None
-        self._polled_s = now_s
-        return StatusBody(seen).pack()
-
-    def _host_lives(self, now_s: float) -> bool:
-        return now_s - self._alive_s < self._config.motion_lease_ms / 2000
-
-    def on_report(self, report: ReportBody, events: tuple[EventBody, ...]) -> None:
-        """Pass trigger events on in order, then what became of the activity."""
-        with self._lock:
-            self._report = report
-            self.strobes = report.strobes
-            fired = self._take_events(events)
-        for event in fired:
-            self._sink(event)
-        if self._activity is None:
-            return
-        if report.state in (McuState.IDLE, McuState.ALARM):
-            if report.triggers <= self._next_event:
-                self._finish(report)
-        else:
-            self._watch_hold(report)
-
-    def _take_events(self, events: tuple[EventBody, ...]) -> list[Triggered]:
-        fired = []
-        at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-        for event in events:
-            if event.trigger_id == self._next_event:
-                self._next_event += 1
-                shot = event.trigger_id - self._first_id
-                middle_um = self._middle_um(event.position)
-                fired.append(Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns, middle_um))
-        return fired
-
-    def _middle_um(self, position_steps: int) -> float | None:
-        """Where the stage is half an exposure after a trigger on the fly; None where it stands still."""
-        segment = self._segment
-        if segment.mode != "fly" or not segment.period_ms:
-            return None
-        half_way_steps = segment.pitch_steps * segment.dwell_ms / 2 / segment.period_ms
-        return (position_steps + half_way_steps) * self._config.um_per_microstep
-
-    def _watch_hold(self, report: ReportBody) -> None:
-        reason = McuHold(report.hold_reason) if report.state == McuState.HOLDING else McuHold.NONE
-        if reason in (McuHold.HOST, McuHold.REALTIME) and not self._hold_wanted:
-            self._resume_soon()  # noise looked like the realtime byte
-        elif reason == McuHold.LEASE and not self._hold_wanted and self._host_lives(time.monotonic()):
-            self._resume_soon()
-        if reason != self._held_for:
-            self._held_for = reason
-            self._tell_held(reason, report.position)
-
-    def _tell_held(self, reason: McuHold, position_steps: int) -> None:
-        if reason in (McuHold.HOST, McuHold.REALTIME) and self._hold_wanted:
-            self._sink(Held("requested", position_steps))
-        elif reason == McuHold.LEASE:
-            self._sink(Held("lease", position_steps))
-        elif reason == McuHold.NO_CREDIT and self._segment.mode == "fly":
-            self._sink(Held("no credit", position_steps))
-
-    def _resume_soon(self) -> None:
-        now_s = time.monotonic()
-        if now_s - self._resumed_s > _RESUME_AGAIN_S:
-            self._resumed_s = now_s
-            self._link.send(Cmd.RESUME)
-
-    def _finish(self, report: ReportBody) -> None:
-        with self._lock:
-            activity, self._activity = self._activity, None
-        if report.state == McuState.ALARM:
-            self._sink(alarm_event(McuAlarm(report.alarm), report.position))
-        elif report.stop_reason != McuStop.DONE and activity != "zero":
-            reason = "lease" if report.stop_reason == McuStop.LEASE else "requested"
-            self._sink(Stopped(report.position, position_trusted=bool(report.flags & Flag.TRUSTED), reason=reason))
-        elif activity == "segment":
-            self._sink(SegmentDone(report.position))
-        else:
-            lost = report.steps_lost if activity == "touch" and report.flags & Flag.TOUCHED else None
-            trusted = bool(report.flags & Flag.TRUSTED)
-            self._sink(Moved(report.position, trusted, zero_id=_zero_id(report), steps_lost=lost))
-
-    def on_lost(self, detail: str) -> None:
-        """The firmware holds by its lease; wait for it to come back."""
-        logger.warning("the stage's controller is gone: %s", detail)
-        self._lost_since_s = time.monotonic()
-
-    def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
-        """The same one: go on. Restarted: it knows nothing any more, not even where it is."""
-        with self._lock:
-            self._lost_since_s = None
-            through = self._first_id + self._granted
-            running = self._activity == "segment" and self._granted >= 0
-        if same_session:
-            if running:
-                self._link.send(Cmd.GRANT, GrantBody(through).pack())
-            self._link.send(Cmd.STATUS, StatusBody(self._next_event).pack())
-            return
-        with self._lock:
-            self._next_event = 0
-        self._link.send(Cmd.CONFIGURE, self._body.pack())
-        self._link.send(Cmd.STATUS, StatusBody(0).pack())
-        self._give_up("F13", f"{reset_words(hello.reset_cause)}; home the stage, then resume")
-
-    def _give_up(self, code: str, detail: str) -> None:
-        with self._lock:
-            activity, self._activity = self._activity, None
-            position = self._report.position if self._report is not None else 0
-        if activity is not None:
-            self._sink(Alarm(code, detail, position, position_trusted=False))
-
-
-def _result(answer: Block) -> Result:
-    return Result(AckBody.unpack(answer.body).result) if answer.kind == Msg.ACK else Result.OK
-
-
-def _zero_id(report: ReportBody) -> str:
-    return f"{report.zero_id:08x}" if report.zero_id else ""

@@ -123,7 +123,7 @@ def test_f12_a_pulled_cable_holds_and_the_sweep_goes_on_when_it_is_back(make_ben
 
 
 def test_f12_a_cable_that_stays_out_ends_the_activity_with_a_named_alarm(bench, monkeypatch):
-    monkeypatch.setattr("acquire.stages.uno._RECONNECT_S", 0.2)
+    monkeypatch.setattr("acquire.stages.uno_reports._RECONNECT_S", 0.2)
     bench.stage.begin_segment(STEP, 2)
     bench.wait_until(shot(2))
     bench.emulator.knob("unplug")
