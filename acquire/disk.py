@@ -16,6 +16,7 @@ from acquire.contract.units import format_bytes
 _NO_SPACE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _NO_RESERVATION: Final = frozenset({errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL})
 _RENAME_NOREPLACE: Final = 1
+_PUNCH_HOLE_KEEP_SIZE: Final = 3
 _AT_FDCWD: Final = -100
 _WAY_OUT: Final = "set storage.data_dir in rig.toml to another folder"
 
@@ -78,6 +79,26 @@ def reserve(fd: int, size_bytes: int) -> bool:
     call = getattr(_libc, "fallocate64", _libc.fallocate)
     call.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
     while call(fd, 0, 0, size_bytes) != 0:
+        number = ctypes.get_errno()
+        if number in _NO_RESERVATION:
+            return False
+        if number != errno.EINTR:
+            raise OSError(number, os.strerror(number))
+    return True
+
+
+def punch(fd: int, offset: int, size_bytes: int) -> bool:
+    """Give the whole blocks within a range of a file back to the file system; the range then reads as zeros.
+
+    Returns:
+        False where the file system cannot.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    call = getattr(_libc, "fallocate64", _libc.fallocate)
+    call.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
+    while call(fd, _PUNCH_HOLE_KEEP_SIZE, offset, size_bytes) != 0:
         number = ctypes.get_errno()
         if number in _NO_RESERVATION:
             return False

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from acquire.contract.config import LoadedConfig
-from acquire.contract.errors import ScanFileError
-from acquire.contract.layout import PARTIAL_NAME, SEALED_NAME
+from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
+from acquire.contract.layout import OWNER_LOCK_NAME, PARTIAL_NAME, SEALED_NAME
 from acquire.contract.messages import Ack, AckItem, End, EndAck, Image, Message, Nack, Start, StartAck
+from acquire.contract.places import FileLock
 from acquire.contract.states import Outcome
 
 from .disk import DiskError, disk_error, file_system_of
@@ -38,6 +39,7 @@ class ScanSession:
         self._acks: list[AckItem] = []
         self._unsynced = 0
         self._ending: End | None = None
+        self._source = ""
 
     @property
     def scan_uid(self) -> str:
@@ -66,12 +68,14 @@ class ScanSession:
         )
 
     def _scan_for(self, start: Start) -> ScanFile:
-        if self._scan is not None and self.scan_uid == start.scan_uid:
+        # another source may come after the file was looked after by others: it is read anew
+        if self._scan is not None and (self.scan_uid, self._source) == (start.scan_uid, start.epoch):
             return self._scan
         if not self._disk.wait(self._seal_s):
             raise DiskError(f"the disk has not ended the scan before within {self._seal_s:g} s; look at it")
         self.leave()
         self._scan = scan = _open(start)
+        self._source = start.epoch
         disk = file_system_of(scan.path)
         logger.info("scan %s: %d of %d frames are in %s", start.scan_uid, scan.committed_count, scan.count, scan.path)
         reserved = "reserved" if scan.reserved else "NOT reserved: a full disk is found only while writing"
@@ -89,6 +93,25 @@ class ScanSession:
             logger.error("%s", error)
         self._scan.close()
         self._scan, self._unsynced, self._ending = None, 0, None
+
+    def leave_orphan(self) -> None:
+        """Let go of a scan whose owner has died: mark it as interrupted, so that it can be resumed or recovered."""
+        scan = self._scan
+        if scan is None or scan.sealed or self._ending is not None or self._disk.busy:
+            return
+        lock = _lock_of_the_dead(scan.path.parent)
+        if lock is None:
+            return
+        try:
+            # somebody else may have closed it for good meanwhile
+            if scan.path.exists():
+                scan.mark_outcome(Outcome.INTERRUPTED, "F01 the daemon ended in mid-sweep")
+                logger.warning("the daemon is gone: %d of %d frames are in %s", scan.prefix, scan.count, scan.path)
+            self.leave()
+        except DiskError as error:
+            logger.error("%s", error)
+        finally:
+            lock.release()
 
     # ---- frames ----
 
@@ -256,6 +279,17 @@ def _open(start: Start) -> ScanFile:
         return scan
     scan.close()
     raise ScanExistsError(f"{folder} holds another scan ({layout.scan_uid}) or another plan; nothing was written")
+
+
+def _lock_of_the_dead(folder: Path) -> FileLock | None:
+    """The owner's lock of a scan, taken; None while its owner lives, or where nobody ever owned it."""
+    path = folder / OWNER_LOCK_NAME
+    if not path.exists():
+        return None
+    try:
+        return FileLock(path, "the sweep of this scan")
+    except (AlreadyRunningError, ConfigError):
+        return None
 
 
 def _start_refusal(error: ScanFileError) -> Literal["exists", "no space", "io error", "protocol"]:

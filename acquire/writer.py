@@ -24,6 +24,7 @@ from acquire.contract.places import endpoint, lock_service, prepare_run_dir
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 from .disk_thread import DiskThread
+from .recover import RecoverOptions, recover
 from .scan_session import ScanSession
 
 logger = logging.getLogger(__name__)
@@ -45,7 +46,7 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
     try:
         service = WriterService(_connect(context, run_dir), config)
         try:
-            with _stopped_by_signals(service):
+            with _stopped_by_signals(service), _looking_after_the_interrupted(config.data_dir):
                 logger.info("ready (pid %d), looking for the daemon in %s", os.getpid(), run_dir)
                 service.run()
         finally:
@@ -76,6 +77,28 @@ def _stopped_by_signals(service: WriterService) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _looking_after_the_interrupted(data_dir: Path) -> Iterator[None]:
+    """Verify and mark, beside the service, the scans whose owners died since the last start."""
+    leaving = threading.Event()
+    thread = threading.Thread(target=_look_after, args=(data_dir, leaving), name="recover", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        leaving.set()
+        # verifying one scan may take longer than a service has to leave; each of its steps may be the last
+        thread.join(timeout=5)
+
+
+def _look_after(data_dir: Path, leaving: threading.Event) -> None:
+    try:
+        for found in recover(data_dir, RecoverOptions(begun_only=True), stop=leaving.is_set):
+            logger.info("looked after %s", found.words())
+    except OSError as error:
+        logger.warning("cannot look after the scans in %s: %s", data_dir, error)
 
 
 class WriterService:
@@ -134,6 +157,7 @@ class WriterService:
             return False
         self._next_beat_ns = now_ns + BEAT_NS
         self._session.beat()
+        self._session.leave_orphan()
         return True
 
     def _drain(self) -> None:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE
-from tui.commands.context import json_option, print_json
+from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
+from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
     from process.reconstruct import Summary
@@ -104,4 +104,33 @@ def info(scan: Path, as_json: bool) -> None:
     print_json(facts) if as_json else click.echo("\n".join(facts.words()))
 
 
-COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, verify, info)
+@click.command()
+@click.argument("where", metavar="[DIR]", type=click.Path(path_type=Path), required=False)
+@click.option("--seal", is_flag=True, help="Close interrupted scans for good: they can no longer be resumed.")
+@click.option("--compact", is_flag=True, help="Give back the space that closed scans reserved and do not need.")
+@json_option
+@click.pass_obj
+def recover(session: Session, where: Path | None, seal: bool, compact: bool, as_json: bool) -> int:
+    """Look after scans that nobody owns any more.
+
+    DIR is a folder of scans [storage.data_dir] or one scan. Every committed frame is verified; a scan that was
+    interrupted is marked so and can be resumed. A sweep that runs is never touched."""
+    from acquire.recover import RecoverOptions
+    from acquire.recover import recover as run
+
+    if where is not None and not where.exists():
+        raise ScanFileError(f"{where} does not exist: give a folder of scans, or one scan")
+    unreadable, facts = False, []
+    for found in run(where or session.config().data_dir, RecoverOptions(seal=seal, compact=compact)):
+        unreadable |= found.state == "unreadable"
+        facts.append(found)
+        if not as_json:
+            click.echo(found.words())
+    if as_json:
+        print_json({"scans": facts})
+    elif not facts:
+        click.echo("there is nothing to look after")
+    return EXIT_FAILED if unreadable else 0
+
+
+COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, verify, info, recover)
