@@ -15,7 +15,7 @@ from typing import Any
 import zmq
 
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
-from acquire.contract.clocks import Clock, MonotonicClock
+from acquire.contract.clocks import Clock, MonotonicClock, epoch_utc_ns
 from acquire.contract.config import LoadedConfig
 from acquire.contract.errors import ProtocolError, SweepscopeError
 from acquire.contract.faults import in_one_line, report
@@ -35,6 +35,7 @@ from .inbox import Inbox
 from .preparing import PreparedScan
 from .rig import Rig, build_rig
 from .running import RunningScan
+from .time_watch import TimeWatch
 
 logger = logging.getLogger(__name__)
 POLL_MS = 10
@@ -66,6 +67,7 @@ class Daemon:
         self._malformed = 0
         self._writer_lost = False
         self._status_next_ns = 0
+        self._time = TimeWatch()
 
     # ---- life ----
 
@@ -151,6 +153,7 @@ class Daemon:
 
     def _turn(self) -> None:
         now_ns = self.clock.now_ns()
+        self._watch_time(now_ns)
         for event in self._inbox.take_all():
             self._take_device_event(event, now_ns)
         for lane_event in self.lane.poll(now_ns):
@@ -196,6 +199,16 @@ class Daemon:
         if lost and not self._writer_lost:
             self.fault(report("F03", committed=len(scan.sweep.window.committed), expected=scan.sweep.count))
         self._writer_lost = lost
+
+    def _watch_time(self, now_ns: int) -> None:
+        """A frozen process and a jump of the wall clock do no harm, but explain a gap in a log: they are noted."""
+        for code, seconds in self._time.update(now_ns, epoch_utc_ns()):
+            # freezing matters only to a sweep; one that was not running has nothing to tell
+            if self.scan is not None:
+                facts = {"committed": len(self.scan.sweep.window.committed), "expected": self.scan.sweep.count}
+                self.fault(report(code, seconds=f"{seconds:.0f}", **facts))
+            else:
+                logger.info("%s: %.1f s", code, seconds)
 
     def _interrupt(self, now_ns: int) -> None:
         """The service ends: so does the sweep, with an honest end."""

@@ -49,6 +49,7 @@ from .events import (
     Tick,
     WriterReady,
 )
+from .lamp_watch import LampWatch
 from .lockstep import Shot
 from .overlap import compare_overlap, overlap_picture
 from .shooting import Shooting
@@ -113,6 +114,7 @@ class Sweep:
         self.settings = self.shooting.settings
         self.window = self.shooting.window
         self.count = self.settings.plan.count
+        self._light = LampWatch((1 << self.settings.format.bit_depth) - 1)
 
     # ---- the door ----
 
@@ -250,7 +252,19 @@ class Sweep:
         if shot.frame_index == 0:
             self._first_pixels = event.pixels
         publish = Publish(image_of_shot(event, shot, self.settings), event.pixels)
-        return [publish, *self._grant(now_ns)]
+        return [publish, *self._look_at_light(event, shot.frame_index), *self._grant(now_ns)]
+
+    def _look_at_light(self, event: CameraFrame, frame_index: int) -> list[Action]:
+        """In another light S is wrong for every pixel: hold, and let the operator decide."""
+        found = None if self.paused else self._light.update(frame_index, event.pixels)
+        if found is None:
+            return []
+        first, what = found
+        self._light.forget()
+        self.checks.setdefault("light_changed_at", float(first))
+        self.paused = True
+        fault = self._report("F27", detail=f"{what} since frame {first}")
+        return [RaiseFault(fault), *([HoldStage()] if self.phase is Phase.RUN else [])]
 
     def _grant(self, now_ns: int) -> list[Action]:
         if self.phase is not Phase.RUN or self.paused:
@@ -349,7 +363,7 @@ class Sweep:
             self.outcome = Outcome.COMPLETE if self.window.prefix == self.count else Outcome.FAILED
         end = end_of_sweep(
             self.outcome,
-            self.reason,
+            self._reason_with_light(),
             settings=self.settings,
             sent=len(self.shooting.paired),
             window=self.window,
@@ -358,6 +372,12 @@ class Sweep:
             checks=self.checks,
         )
         return [Finish(end)]
+
+    def _reason_with_light(self) -> str:
+        """Frames that were taken in another light are marked by it, in the end message and in the file."""
+        changed_at = self.checks.get("light_changed_at")
+        note = "" if changed_at is None else f"F27 the light changed at frame {changed_at:.0f}"
+        return "; ".join(filter(None, (self.reason, note)))
 
     def accounts(self) -> dict[str, int]:
         """Every counter of the sweep, by name."""
@@ -390,6 +410,7 @@ class Sweep:
         if not self.paused:
             return []
         self.paused = False
+        self._light.forget()
         if self.phase is Phase.RUN:
             return [ResumeStage(), *self._grant(now_ns)]
         return []

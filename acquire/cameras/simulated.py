@@ -12,6 +12,7 @@ from acquire.contract.messages import FrameFormat
 from acquire.simulation import Renderer, Scene, build_scene
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
+from .scripted_faults import ScriptedFaults, parse_script
 
 _QUEUE_FRAMES = 8
 """Exposures that wait for their picture; one more is lost, as on a camera whose memory is full."""
@@ -42,6 +43,7 @@ class SimulatedCamera:
         """Where the projector stands when a software trigger comes."""
         self.lost_exposures = 0
         self.scene: Scene | None = None
+        self._faults = ScriptedFaults(parse_script(simulation.faults))
 
     def open(self, sink: CameraSink) -> CameraInfo:
         """Build the scene and start to deliver."""
@@ -104,18 +106,21 @@ class SimulatedCamera:
         while (exposure := self._exposures.get()) is not None:
             position_steps, travel_steps, camera_frame_id, at_ns = exposure
             self._wait_for_exposure(at_ns)
+            self._faults.begin()
             attempt = self._taken[round(position_steps)]
             self._taken[round(position_steps)] += 1
             pixels = self._renderer.render(
                 position_steps,
-                lamp=1.0 if self.lamp_on else 0.0,
+                lamp=self._faults.lamp if self.lamp_on else 0.0,
+                room=self._faults.room,
                 exposure_ms=self._settings.exposure_ms,
                 gain=self._settings.gain,
                 brightness=self._settings.brightness_percent,
                 attempt=attempt,
                 travel_steps=travel_steps,
             )
-            self._sink(CameraFrame(pixels, camera_frame_id, at_ns))
+            for event in self._faults.deliver(CameraFrame(pixels, camera_frame_id, at_ns)):
+                self._sink(event)
 
     def _wait_for_exposure(self, at_ns: int) -> None:
         """A picture is there at the earliest when its exposure is over."""

@@ -73,3 +73,6 @@ class SimulationConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Distance of the camera's pinhole from the middle of the field, in mm; the field of view grows with it."""
     distortion: tuple[Radial, Radial, Radial, Radial, Radial] = (-0.3, 0.0, 0.0, 0.0, 0.0)
     """Lens distortion k1 k2 p1 p2 k3 (OpenCV); k1 = -0.3 moves the image's far corner by about two pixels."""
+
+    faults: Annotated[str, Meta(max_length=4000)] = ""
+    """Faults of camera and lamp by script, for tests: verb:exposure,... such as "lose:12,dim:200"; empty is none."""
