@@ -90,7 +90,8 @@ class Board:
             "scan_uid", "scan_path", "plan", "outcome", "expected", "triggered", "received", "committed", "durable",
             "retaken", "missing", "elapsed_s", "window",
         )  # fmt: skip
-        return msgspec.structs.replace(facts, **{name: getattr(self.last, name) for name in kept})
+        counters = self.last.counters | facts.counters
+        return msgspec.structs.replace(facts, counters=counters, **{name: getattr(self.last, name) for name in kept})
 
     def _with_scan(self, facts: Status, scan: RunningScan, now_ns: int) -> Status:
         sweep, window = scan.sweep, scan.sweep.window

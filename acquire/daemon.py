@@ -28,6 +28,7 @@ from acquire.contract.units import NS_PER_S
 from acquire.stages.protocol import Alarm, Moved, SegmentDone, StageEvent, Stopped
 
 from .board import Board
+from .complaints import log_now_and_then
 from .desk import Desk
 from .events import StopRequested, Tick
 from .frame_lane import FrameLane
@@ -64,7 +65,7 @@ class Daemon:
         self._replies: OrderedDict[str, Reply] = OrderedDict()
         self._status_due_ns = 0
         self._changed = True
-        self._malformed = 0
+        self._malformed = self._malformed_told = 0
         self._writer_lost = False
         self._status_next_ns = 0
         self._time = TimeWatch()
@@ -161,6 +162,7 @@ class Daemon:
                 self.scan.handle(lane_event, now_ns)
                 self._changed = True
         self._serve_commands()
+        self._watch_messages()
         if self.scan is not None:
             self.scan.handle(Tick(), now_ns)
             self._watch_writer(self.scan, now_ns)
@@ -210,6 +212,13 @@ class Daemon:
             else:
                 logger.info("%s: %.1f s", code, seconds)
 
+    def _watch_messages(self) -> None:
+        """Tell of messages that nobody could read: the first, and when there are ten times as many."""
+        count = self._malformed + self.lane.counters["malformed"]
+        if count // 10 >= self._malformed_told and count > self._malformed_told:
+            self._malformed_told = count
+            self.fault(report("F20", count=count))
+
     def _interrupt(self, now_ns: int) -> None:
         """The service ends: so does the sweep, with an honest end."""
         if self.scan is not None:
@@ -224,7 +233,7 @@ class Daemon:
                 received = receive(self._commands.socket)
             except ProtocolError as error:
                 self._malformed += 1
-                logger.warning("command lane: %s", error)
+                log_now_and_then(logger, self._malformed, f"command lane: {error}")
                 continue
             if received is None:
                 return

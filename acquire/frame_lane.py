@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from acquire.contract.lanes import Received, Sender, receive
 from acquire.contract.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
 from acquire.contract.units import NS_PER_S
 
+from .complaints import log_now_and_then
 from .events import Committed, LaneEvent, Refused, Sealed, WriterReady
 from .window import Kept, Window, indices_of
 
@@ -42,7 +44,7 @@ class FrameLane:
         self.last_heard_ns = 0
         self.counters = {"sent": 0, "resent": 0, "malformed": 0, "superseded": 0, "unsent": 0, "nacks": 0}
         self._writer: _Writer | None = None
-        self._superseded: set[str] = set()
+        self._superseded: deque[str] = deque(maxlen=1000)
         self._start: Start | None = None
         self._end: End | None = None
         self._retry_at_ns = 0
@@ -91,7 +93,7 @@ class FrameLane:
                 received = receive(self.socket)
             except ProtocolError as error:
                 self.counters["malformed"] += 1
-                logger.warning("frames lane: %s", error)
+                log_now_and_then(logger, self.counters["malformed"], f"frames lane: {error}")
                 continue
             if received is None:
                 break
@@ -137,8 +139,12 @@ class FrameLane:
             self.sender.send(nack, routing_id=routing_id)
             return False
         if self._writer is None or self._writer.epoch != message.epoch:
+            if not isinstance(message, Hello):
+                # only a hello makes a writer: a stray ack must never turn the real one away
+                self.counters["malformed"] += 1
+                return False
             if self._writer is not None:
-                self._superseded.add(self._writer.epoch)
+                self._superseded.append(self._writer.epoch)
             self._writer = _Writer(routing_id, message.epoch)
         elif self._writer.routing_id != routing_id:
             # it reconnected: what was on the way is lost, so the scan is announced and replayed again

@@ -111,7 +111,7 @@ class WriterService:
         self._disk = DiskThread()
         self._session = ScanSession(config, self._disk, self._send)
         self._seal_s = config.rig.limits.seal_s
-        self._next_beat_ns = 0
+        self._next_beat_ns = self._next_watch_ns = 0
         self._stop_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._stopping = False
 
@@ -138,6 +138,7 @@ class WriterService:
             self._drain()
             self._disk.collect()
             self._session.press_on()
+            self._watch_owner()
 
     def close(self) -> None:
         """Press what is committed onto the disk and leave."""
@@ -157,8 +158,14 @@ class WriterService:
             return False
         self._next_beat_ns = now_ns + BEAT_NS
         self._session.beat()
-        self._session.leave_orphan()
         return True
+
+    def _watch_owner(self) -> None:
+        """Let go of the scan of a daemon that died, also where nobody is there to hear a beat."""
+        now_ns = _now_ns()
+        if now_ns >= self._next_watch_ns:
+            self._next_watch_ns = now_ns + BEAT_NS
+            self._session.leave_orphan()
 
     def _drain(self) -> None:
         for _ in range(MAX_BATCH):

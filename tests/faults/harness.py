@@ -1,0 +1,236 @@
+"""One harness for every fault: real services, a fault at a chosen moment, and the promise checked against witnesses.
+
+The witnesses are independent of what they judge: what each frame must show is rendered here from the position alone,
+and what was acked is what the status lane told while the sweep ran, noted by this process.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from acquire.contract.config import load_config
+from acquire.contract.layout import FrameStatus
+from acquire.contract.messages import Status
+from acquire.contract.outcome import frame_crc32, scan_digest
+from acquire.contract.scan_reader import ScanReader
+from acquire.simulation import Renderer, build_scene
+from tests.system.appliance import SMALL, Appliance
+from tui.client import RigClient
+
+ROOT = Path(__file__).parents[2]
+STEPS = 12
+COUNT = 1578 // STEPS + 1
+FRAME_BYTES = 128 * 96 * 3
+PACED = {"SIMULATION__TIME_SCALE": 0.1, "SWEEP__MAX_RATE_HZ": 15.0}
+"""150 frames per second: a sweep of a second, so that a fault finds it running."""
+
+
+@dataclass
+class Seen:
+    """What the status lane told of one scan: the tap of acks."""
+
+    committed: int = 0
+    """The most frames that were ever called committed."""
+    said_saved: bool = False
+    faults: dict[str, str] = field(default_factory=dict)
+    last: Status | None = None
+
+    def take(self, status: Status) -> None:
+        """Note a status."""
+        self.committed = max(self.committed, status.committed)
+        self.said_saved |= "SAVED" in status.message
+        self.faults |= {fault.code: f"{fault.happened}: {fault.safe}; {fault.to_do}" for fault in status.faults}
+        self.last = status
+
+
+class Rig(Appliance):
+    """The services under test, a client's view of them, and the moment at which the fault comes."""
+
+    def __init__(self, run_dir: Path, data_dir: Path, seed: int, at: float, sabotage: str = "") -> None:
+        super().__init__(run_dir, data_dir, **PACED)
+        self.random, self.at, self.sabotage, self.seed = random.Random(seed), at, sabotage, seed
+        self.deadline_s = 15.0 if sabotage else 60.0
+        self.seen: dict[str, Seen] = {}
+        self.light: dict[int, dict[str, float]] = {}
+        """What the lamp did to a frame, where a row changes the light."""
+        self.flag = data_dir.parent / "flag"
+        """A file whose existence switches an injected fault on."""
+        self.environ["SWEEPSCOPE_TEST_FLAG"] = str(self.flag)
+
+    def set(self, **settings: Any) -> None:
+        """Settings for services started from now on: SECTION__KEY=value."""
+        self.environ |= {f"SWEEPSCOPE_{name}": str(value) for name, value in settings.items()}
+
+    def start(self, *services: str) -> None:
+        """Start services, sabotaged where this run is."""
+        environ = {**self.environ, "SWEEPSCOPE_TEST_SABOTAGE": self.sabotage}
+        for service in services:
+            with self.log.open("ab") as log:
+                self.processes[service] = subprocess.Popen(
+                    [sys.executable, "-m", "tests.faults.launch", service],
+                    env=environ, cwd=ROOT, stdout=log, stderr=log,
+                )  # fmt: skip
+
+    def until(self, condition: Callable[[], Any], what: str, deadline_s: float | None = None) -> Any:
+        """As the base, with this run's deadline."""
+        return super().until(condition, what, deadline_s or self.deadline_s)
+
+    def until_status(self, client: RigClient, wanted: Callable[[Status], Any], what: str) -> Status:
+        """As the base, and everything that is heard is noted."""
+
+        def noted(status: Status) -> Any:
+            if status.scan_uid:
+                self.seen.setdefault(status.scan_uid, Seen()).take(status)
+            return wanted(status)
+
+        return super().until_status(client, noted, what)
+
+    def begin(self, client: RigClient, **args: Any) -> dict[str, Any]:
+        """Start a sweep as soon as a writer is there."""
+        self.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        return self.scan(client, **args)
+
+    def moment(self, client: RigClient) -> Status:
+        """Wait for the fault's moment: a share of the sweep and a bit of a frame more."""
+        wanted = 1 + int(self.at * (COUNT - 20))
+        status = self.until_status(client, lambda s: s.committed >= wanted, f"{wanted} frames are committed")
+        self.pause(self.random.random() * 0.015)
+        return status
+
+    def pause(self, duration_s: float) -> None:
+        """Let time pass on purpose: where the fault itself is a duration."""
+        end = time.monotonic() + duration_s
+        while time.monotonic() < end:
+            time.sleep(0.002)
+
+    def told(self, client: RigClient, code: str) -> str:
+        """Wait until the operator is told of a fault; returns the text."""
+        self.until_status(client, lambda s: any(f.code == code for f in s.faults), f"the operator is told of {code}")
+        return next(seen.faults[code] for seen in self.seen.values() if code in seen.faults)
+
+    def freeze(self, service: str, duration_s: float) -> None:
+        """SIGSTOP, and SIGCONT after a while."""
+        self.send_signal(service, signal.SIGSTOP)
+        self.pause(duration_s)
+        self.send_signal(service, signal.SIGCONT)
+
+    def rss(self, service: str) -> int:
+        """Resident memory of a service in bytes."""
+        return int(psutil.Process(self.processes[service].pid).memory_info().rss)
+
+    def close(self) -> None:
+        """Kill whatever still runs, frozen or not."""
+        self.flag.unlink(missing_ok=True)
+        super().close()
+
+
+@contextmanager
+def a_rig(seed: int, at: float, sabotage: str = "") -> Iterator[Rig]:
+    """Folders of its own for one run, gone afterwards with every process."""
+    with tempfile.TemporaryDirectory(prefix="ss-") as run, tempfile.TemporaryDirectory(prefix="ss-data-") as data:
+        rig = Rig(Path(run), Path(data) / "scans", seed, at, sabotage)
+        try:
+            yield rig
+        finally:
+            rig.close()
+
+
+def run_scan(fault: str, at: float, seed: int, sabotage: str = "") -> None:
+    """One run of one row of the table: inject the fault, check the promise; raises where it does not hold.
+
+    Args:
+        fault: F01..F27.
+        at: share of the sweep after which the fault comes, 0..1.
+        seed: of everything that is random.
+        sabotage: a protection that is switched off (``sabotage.PROTECTIONS``); the row must then fail.
+    """
+    from .rows import ROWS
+
+    print(f"{fault} at={at:.3f} seed={seed} {sabotage}", flush=True)
+    with a_rig(seed, at, sabotage) as rig:
+        ROWS[fault](rig)
+
+
+@lru_cache(maxsize=1)
+def _renderer() -> tuple[Any, Any]:
+    rig = load_config(environ={f"SWEEPSCOPE_{k}": str(v) for k, v in SMALL.items()}).rig
+    scene = build_scene(rig.simulation, width=128, height=96, um_per_microstep=rig.stage.um_per_microstep)
+    return Renderer(scene), rig.camera
+
+
+@lru_cache(maxsize=4 * COUNT)
+def expected(frame_index: int, lamp: float = 1.0, room: float = 1.0) -> Any:
+    """What the optics show in a frame: rendered by nothing that the services had a hand in."""
+    renderer, camera = _renderer()
+    return renderer.render(
+        STEPS * frame_index, lamp=lamp, room=room,
+        exposure_ms=camera.exposure_ms, gain=camera.gain, brightness=camera.brightness_percent,
+    )  # fmt: skip
+
+
+def assert_frames(folder: Path, light: dict[int, dict[str, float]] | None = None) -> int:
+    """Whatever the file calls committed is there, bit for bit, at its place; returns how many frames that are."""
+    with ScanReader(folder) as reader:
+        status, positions, present = reader.status(), reader.field("position_steps"), reader.present()
+        assert np.isin(status, list(FrameStatus)).all()
+        for k in (int(index) for index in np.flatnonzero(present)):
+            assert positions[k] == STEPS * k, f"frame {k} was taken at {positions[k]}"
+            wanted = expected(k, **(light or {}).get(k, {}))
+            assert np.array_equal(reader.frame(k), wanted), f"frame {k} is another one than the rig showed"
+            assert reader.crc_is_right(k)
+        return int(present.sum())
+
+
+def assert_promise(folder: Path, rig: Rig, outcome: str) -> None:
+    """P0: data first, then the state, then the operator's message, then the counters.
+
+    Args:
+        folder: the scan's.
+        rig: with what it was told of the scan.
+        outcome: how the scan must have ended.
+    """
+    there = assert_frames(folder, rig.light)
+    with ScanReader(folder) as reader:
+        seen = rig.seen.get(reader.layout.scan_uid, Seen())
+        assert there >= seen.committed, f"{seen.committed} frames were acked, {there} are in the file"
+        assert reader.outcome == outcome, f"the file says {reader.outcome}, not {outcome}"
+        sealed = reader.layout.path.name == "scan.h5"
+        assert sealed == (outcome != "interrupted")
+        if sealed:
+            assert reader.scalar("frames_committed") == there
+            assert reader.scalar("digest") == _digest(reader.present(), rig.light)
+        if outcome == "complete":
+            assert there == COUNT
+    if seen.said_saved:
+        assert outcome == "complete" and there == COUNT, "it was called SAVED and is not"
+    status = seen.last
+    if status is not None and status.outcome == outcome and status.state == "idle":
+        assert status.missing == COUNT - there, f"{status.missing} are said to be missing, {COUNT - there} are"
+        assert status.committed == there
+
+
+def _digest(present: Any, light: dict[int, dict[str, float]]) -> str:
+    crc32 = np.zeros(COUNT, np.uint32)
+    for k in (int(index) for index in np.flatnonzero(present)):
+        crc32[k] = frame_crc32(expected(k, **light.get(k, {})))
+    return scan_digest(crc32)
+
+
+def environment_of(rig: Rig) -> dict[str, str]:
+    """For a command of the rig's own command line."""
+    return {**os.environ, **rig.environ}

@@ -1,0 +1,257 @@
+"""Each protection of the appliance switched off by itself: the row that it protects must then fail."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Protection:
+    """One protection, the rows that must notice its absence, and how to take it away."""
+
+    row: str
+    what: str
+    switch_off: Callable[[], None]
+
+
+def _replace(owner: Any, name: str, value: Any) -> None:
+    setattr(owner, name, value)
+
+
+def _ack_before_write() -> None:
+    from acquire.scan_file import ScanFile
+
+    real, waiting = ScanFile.write_frame, []
+
+    def write_frame(self: Any, image: Any, pixels: Any) -> str:
+        waiting.append((image, bytes(pixels)))
+        if len(waiting) > 20:
+            real(self, *waiting.pop(0))
+        return "committed"
+
+    _replace(ScanFile, "write_frame", write_frame)
+
+
+def _status_before_pixels() -> None:
+    from acquire.scan_file import ScanFile
+
+    real = ScanFile._put_pixels
+
+    def put_pixels(self: Any, region: str, index: int, raw: Any) -> None:
+        if region == "data":
+            self._put("status", index, 1)
+            time.sleep(0.02)
+        real(self, region, index, raw)
+
+    _replace(ScanFile, "_put_pixels", put_pixels)
+
+
+def _no_replay() -> None:
+    from acquire.frame_lane import FrameLane
+
+    _replace(FrameLane, "_replay", lambda _self: None)
+
+
+def _no_verification() -> None:
+    from acquire.scan_store import ScanStore
+
+    _replace(ScanStore, "check_frames", lambda _self, _first=0: [])
+
+
+def _no_lock() -> None:
+    import fcntl
+
+    _replace(fcntl, "flock", lambda *_args: None)
+
+
+def _no_credit() -> None:
+    from acquire.window import Window
+
+    _replace(Window, "may_trigger_through", lambda _self: 10**9)
+
+
+def _no_ledger() -> None:
+    from acquire.lockstep import Ledger, Pairing
+
+    def frame(self: Any, _camera_frame_id: int, _exposure_start_ns: int) -> Pairing:
+        return Pairing(self.pending.popleft() if self.pending else None)
+
+    _replace(Ledger, "frame", frame)
+
+
+def _no_retake() -> None:
+    from acquire.sweep import Sweep
+
+    _replace(Sweep, "_lose", lambda *_args: [])
+
+
+def _no_format_check() -> None:
+    from acquire import documents, scan_file, sweep
+
+    for module in (documents, sweep):
+        _replace(module, "what_is_wrong", lambda *_args: "")
+    _replace(scan_file.ScanFile, "_check", lambda *_args: None)
+
+
+def _no_lamp_watch() -> None:
+    from acquire.lamp_watch import LampWatch
+
+    _replace(LampWatch, "update", lambda *_args: None)
+
+
+def _no_time_watch() -> None:
+    from acquire.time_watch import TimeWatch
+
+    _replace(TimeWatch, "update", lambda *_args: [])
+
+
+def _wall_clock() -> None:
+    from acquire.contract.clocks import MonotonicClock
+
+    _replace(MonotonicClock, "now_ns", lambda _self: time.time_ns())
+
+
+def _no_reservation() -> None:
+    from acquire import preparing, scan_create
+
+    _replace(scan_create, "_probe", lambda *_args: None)
+    _replace(scan_create, "reserve", lambda *_args: False)
+    _replace(preparing, "_check_space", lambda *_args: None)
+
+
+def _no_link_count() -> None:
+    import os
+
+    real = os.fstat
+
+    class _Linked:
+        def __init__(self, found: Any) -> None:
+            self._found = found
+
+        def __getattr__(self, name: str) -> Any:
+            return 1 if name == "st_nlink" else getattr(self._found, name)
+
+    _replace(os, "fstat", lambda fd: _Linked(real(fd)))
+
+
+def _no_calibration_check() -> None:
+    from acquire import preparing
+
+    _replace(preparing, "check_size", lambda *_args: None)
+    _replace(preparing, "check_validity", lambda *_args: [])
+
+
+def _no_signal_handler() -> None:
+    import signal
+
+    _replace(signal, "signal", lambda *_args: None)
+
+
+def _no_bounds() -> None:
+    import msgpack
+
+    from acquire.contract import codec
+
+    _replace(codec, "decode", lambda header: msgpack.unpackb(header, strict_map_key=False))
+    from acquire.contract import lanes
+
+    _replace(lanes, "decode", codec.decode)
+
+
+def _no_writer_time_out() -> None:
+    from acquire.sweep import Sweep
+
+    real = Sweep._time_is_up
+
+    def time_is_up(self: Any, now_ns: int) -> Any:
+        return [] if self.phase.name == "WAIT_WRITER" else real(self, now_ns)
+
+    _replace(Sweep, "_time_is_up", time_is_up)
+
+
+def _no_mark() -> None:
+    from acquire.scan_session import ScanSession
+
+    _replace(ScanSession, "leave_orphan", lambda _self: None)
+
+
+def _no_file_lane() -> None:
+    from process.cursor import FoldCursor
+
+    _replace(FoldCursor, "fill", lambda *_args, **_kwargs: 0)
+
+
+def _blocking_live_lane() -> None:
+    import zmq
+
+    from acquire.contract import lanes
+
+    real = lanes.bind
+
+    def bind(context: Any, kind: int, run_dir: Any, lane: str) -> Any:
+        if lane != "live":
+            return real(context, kind, run_dir, lane)
+        socket = lanes.open_socket(context, kind, lane)
+        socket.setsockopt(zmq.XPUB_NODROP, 1)
+        socket.setsockopt(zmq.SNDHWM, 2)
+        socket.bind(lanes.endpoint(run_dir, lane))
+        return socket
+
+    _replace(lanes, "bind", bind)
+    from acquire import daemon
+
+    _replace(daemon, "bind", bind)
+    real_send = lanes.Sender.send
+
+    def send(self: Any, message: Any, payload: Any = None, *, routing_id: Any = None) -> bool:
+        if payload is None or routing_id is not None:
+            return real_send(self, message, payload, routing_id=routing_id)
+        while not real_send(self, message, payload):
+            time.sleep(0.01)
+        return True
+
+    _replace(lanes.Sender, "send", send)
+
+
+def _one_client_only() -> None:
+    from acquire.daemon import Daemon
+
+    real, known = Daemon._answer, set()
+
+    def answer(self: Any, received: Any) -> None:
+        known.add(received.routing_id)
+        if len(known) > 40:
+            raise RuntimeError("too many clients")
+        real(self, received)
+
+    _replace(Daemon, "_answer", answer)
+
+
+PROTECTIONS: dict[str, Protection] = {
+    "resume needs the mark of an interruption": Protection("F01", "mark of an interrupted scan", _no_mark),
+    "notice of a freeze": Protection("F02", "notice of a frozen daemon", _no_time_watch),
+    "ack after write": Protection("F03", "the ack follows the write", _ack_before_write),
+    "replay": Protection("F03", "un-acked frames are sent again", _no_replay),
+    "pixels before status": Protection("F03", "the commit record is written last", _status_before_pixels),
+    "credit": Protection("F04", "no credit, no trigger", _no_credit),
+    "writer time-out": Protection("F05", "a sweep without a writer is refused in time", _no_writer_time_out),
+    "reservation": Protection("F06", "the file's space is reserved first", _no_reservation),
+    "link count": Protection("F07", "a deleted file takes no frames", _no_link_count),
+    "gaps from the file": Protection("F08", "the worker fills gaps from the file", _no_file_lane),
+    "lossy live lane": Protection("F09", "the live lane drops instead of waiting", _blocking_live_lane),
+    "any number of clients": Protection("F10", "a client costs nothing", _one_client_only),
+    "retake": Protection("F16", "a lost frame is taken again", _no_retake),
+    "ledger": Protection("F17", "frames are paired by ids", _no_ledger),
+    "retake after a restart": Protection("F18", "a lost frame is taken again", _no_retake),
+    "format check": Protection("F19", "a frame of another shape is refused", _no_format_check),
+    "bounds of messages": Protection("F20", "messages are checked at the boundary", _no_bounds),
+    "calibration check": Protection("F21", "a calibration that cannot be meant is refused", _no_calibration_check),
+    "monotonic clock": Protection("F22", "time-outs go by the monotonic clock", _wall_clock),
+    "signal handler": Protection("F24", "a service that is told to end says an end", _no_signal_handler),
+    "verification": Protection("F25", "frames are compared with their checksums", _no_verification),
+    "lock": Protection("F26", "one process of a kind", _no_lock),
+    "lamp watch": Protection("F27", "the light is watched", _no_lamp_watch),
+}
