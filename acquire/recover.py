@@ -176,7 +176,8 @@ def _sealed_scan(scan: ScanFile, folder: Path, options: RecoverOptions) -> Recov
 
 
 def _partial_scan(scan: ScanFile, folder: Path, owner: str, options: RecoverOptions) -> Recovered:
-    damaged = tuple(scan.check_frames())
+    # a power cut can only have taken what was not durable; anything can happen to pixels
+    damaged = tuple(sorted([*scan.check_records(scan.durable_count), *scan.check_frames()]))
     ended_as = scan.outcome
     reason = ""
     if ended_as == Outcome.RUNNING:

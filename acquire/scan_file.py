@@ -119,7 +119,9 @@ class ScanFile(ScanStore):
         partial = path.name == PARTIAL_NAME
         opened = cls(path, sealed_path=path.with_name(SEALED_NAME) if partial else path)
         if partial:
-            opened.check_frames(opened.durable_count)
+            first = opened.durable_count
+            opened.check_frames(first)
+            opened.check_records(first)
         return opened
 
     def write_frame(self, image: Image, pixels: Pixels) -> Literal["committed", "same"]:

@@ -35,6 +35,9 @@ _RECORD: Final = (
     "crc32",
 )
 
+_UNWRITTEN: Final = {"trigger_id": -1, "camera_frame_id": -1, "exposure_start_ns": 0}
+"""What a field of a frame holds before its record is written; drivers may leave it so for all frames."""
+
 
 class FrameRefusedError(ScanFileError):
     """A frame that cannot be written, by reason; the file is as it was."""
@@ -168,6 +171,29 @@ class ScanStore:
                 damaged.append(frame_index)
                 self.mark_damaged(frame_index)
         return damaged
+
+    def check_records(self, first: int = 0) -> list[int]:
+        """Mark frames from ``first`` on whose record a power cut took: pixels have a checksum, records have none.
+
+        A field that still has the value it was made with, where other frames of the scan have another, was lost.
+        """
+        usable = np.flatnonzero(self._usable())
+        lost = np.zeros(self.count, np.bool_)
+        for name, unwritten in _UNWRITTEN.items():
+            values = self._get_all(name)
+            if (values[usable] != unwritten).any():
+                lost |= values == unwritten
+        lost |= (self._status == FrameStatus.RETAKEN) != (self._get_all("attempt") > 0)
+        found = [int(frame_index) for frame_index in usable if frame_index >= first and lost[frame_index]]
+        for frame_index in found:
+            self.mark_damaged(frame_index)
+        return found
+
+    def _get_all(self, region: str) -> NDArray[np.int64]:
+        place = self.layout.regions[region]
+        with self._disk("read"):
+            raw = os.pread(self._fd, place.nbytes, place.offset)
+        return np.frombuffer(raw, place.dtype).astype(np.int64)
 
     def mark_damaged(self, frame_index: int) -> None:
         """Take a frame's commit back because its pixels are not what they were; it can be taken again."""
