@@ -8,7 +8,7 @@ ifneq ($(shell id -u),0)
 SUDO := sudo
 endif
 
-.PHONY: demo test lint install install-test system-packages bench clean
+.PHONY: demo test lint install install-test system-packages bench faults soak clean
 
 demo: $(STAMP)
 	@$(VENV)/bin/sweepscope demo
@@ -48,6 +48,19 @@ test: system-packages $(TEST_STAMP) lint
 bench: $(STAMP)
 	$(VENV)/bin/sweepscope bench fold
 	$(VENV)/bin/sweepscope bench pipeline
+
+# the fault table over many points; SABOTAGE=1 switches each protection off in turn, WRITE=docs/faults.md keeps the table
+POINTS ?= 3
+SEEDS ?= 1
+KILLS ?= 200
+BOMBS ?= 100000
+faults: $(TEST_STAMP)
+	$(PY) -m tests.faults --points $(POINTS) --seeds $(SEEDS) --kills $(KILLS) --bombs $(BOMBS) \
+		$(if $(SABOTAGE),--sabotage) $(if $(ROWS),--rows $(ROWS)) $(if $(WRITE),--write $(WRITE))
+
+MINUTES ?= 60
+soak: $(TEST_STAMP)
+	$(PY) -m tests.faults.soak --minutes $(MINUTES)
 
 clean:
 	rm -rf $(VENV) demo-data build dist .pytest_cache .mypy_cache .ruff_cache

@@ -36,6 +36,7 @@ from .actions import (
     Snap,
     StopStage,
 )
+from .complaints import is_worth_saying
 from .documents import end_of_sweep, image_of_shot, image_of_snap, what_is_wrong
 from .drift import measure_drift
 from .events import (
@@ -234,12 +235,16 @@ class Sweep:
         actions = self._lose(pairing.lost, "its frame did not come", "F16", now_ns)
         if pairing.shot is None:
             self.counters["extra"] += 1
-            return actions
+            return actions + self._tell_of_extra()
         wrong = what_is_wrong(event, self.settings.format)
         if wrong:
             self.counters["damaged"] += 1
             return actions + self._lose((pairing.shot,), wrong, "F19", now_ns)
         return actions + self._take(event, pairing.shot, now_ns)
+
+    def _tell_of_extra(self) -> list[Action]:
+        count = self.counters["extra"]
+        return [RaiseFault(self._report("F17", count=count))] if is_worth_saying(count) else []
 
     def _take(self, event: CameraFrame, shot: Shot, now_ns: int) -> list[Action]:
         if self.phase is Phase.REPEAT:

@@ -22,6 +22,7 @@ MANUAL: Final = {
     "extra": "another frame follows that nobody triggered",
     "double": "it is delivered twice",
     "late": "it is delivered after the one that follows",
+    "stray": "the frame before comes once more, ahead of it",
     "shape": "its frame has a row less",
     "type": "its frame has another type",
     "restart": "the camera restarts: the frame is lost, ids start at 0",
@@ -61,6 +62,7 @@ class ScriptedFaults:
     _exposure: int = -1
     _id_shift: int = 0
     _late: list[CameraFrame] = field(default_factory=list)
+    _before: CameraFrame | None = None
 
     def begin(self) -> None:
         """The next exposure begins: the light may change."""
@@ -75,6 +77,7 @@ class ScriptedFaults:
         for verb in self._verbs():
             if verb in _DOERS:
                 events = _DOERS[verb](self, events[0]) if isinstance(events[0], CameraFrame) else events
+        self._before = events[-1] if events and isinstance(events[-1], CameraFrame) else None
         late, self._late = ([], self._late) if not events else (self._late, [])
         yield from events
         yield from late
@@ -89,6 +92,9 @@ class ScriptedFaults:
     def _extra(self, frame: CameraFrame) -> list[Event]:
         self._id_shift += 1
         return [frame, replace(frame, camera_frame_id=frame.camera_frame_id + 1)]
+
+    def _stray(self, frame: CameraFrame) -> list[Event]:
+        return [frame] if self._before is None else [self._before, frame]
 
     def _delay(self, frame: CameraFrame) -> list[Event]:
         self._late.append(frame)
@@ -109,6 +115,7 @@ _DOERS: Final[dict[str, Callable[[ScriptedFaults, CameraFrame], list[Event]]]] =
     "extra": ScriptedFaults._extra,
     "double": lambda _faults, frame: [frame, frame],
     "late": ScriptedFaults._delay,
+    "stray": ScriptedFaults._stray,
     "shape": lambda _faults, frame: [replace(frame, pixels=frame.pixels[:-1].copy())],
     "type": ScriptedFaults._other_type,
     "restart": ScriptedFaults._restart,

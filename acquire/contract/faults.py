@@ -26,8 +26,18 @@ _ROWS = (
         "F04", "the disk is slower than the camera", "the stage waits, nothing is lost", "nothing, or lower the rate"
     ),
     Fault("F05", "no writer made the scan file ready in {seconds} s", "the stage has not moved", "start the writer"),
-    Fault("F06", "the disk is full: {detail}", _KEPT, "make room, or change storage.data_dir, then resume"),
-    Fault("F07", "the scan folder cannot be written: {detail}", _KEPT, "mend the disk or its permissions, then resume"),
+    Fault(
+        "F06",
+        "the disk is full: {detail}",
+        _KEPT,
+        "make room: the sweep then goes on by itself; storage.data_dir moves the next one",
+    ),
+    Fault(
+        "F07",
+        "the scan folder cannot be written: {detail}",
+        _KEPT,
+        "mend the disk: the sweep then goes on; stop it if the file is gone",
+    ),
     Fault("F08", "the worker is away", _KEPT + "; the sweep goes on", "nothing: it catches up from the file"),
     Fault("F09", "a viewer or console is slow", "the sweep does not notice", "nothing"),
     Fault("F10", "a console or viewer went away", "the sweep goes on", "open it again"),
@@ -45,14 +55,29 @@ _ROWS = (
     Fault("F17", "the camera sent {count} frames that nobody triggered", "they are dropped", "check the trigger cable"),
     Fault("F18", "the camera started again in mid-sweep", _KEPT + "; the stage holds", "nothing: frames are re-taken"),
     Fault("F19", "frame {frame} was damaged {attempts} times: {detail}", _KEPT, "check the camera and its cable"),
-    Fault("F20", "{count} messages could not be read and were dropped", "the sweep goes on", "update all services"),
+    Fault(
+        "F20",
+        "{count} messages could not be read and were dropped",
+        "the sweep goes on",
+        "nothing, unless it goes on: look for a service of another version",
+    ),
     Fault("F21", "the calibration cannot be used: {detail}", "nothing has moved", "calibrate, or name another"),
     Fault("F22", "the clock jumped by {seconds} s", "the sweep goes by the monotonic clock", "nothing"),
-    Fault("F23", "limit switch or emergency stop: {detail}", _KEPT + "; the stage stands", "clear it, home, resume"),
-    Fault("F24", "the service was told to stop", _KEPT, "start it again, then resume the scan"),
+    Fault(
+        "F23",
+        "limit switch or emergency stop: {detail}",
+        _KEPT + "; the stage stands",
+        "clear it, home, start a new scan",
+    ),
+    Fault("F24", "the service was told to stop", _KEPT, "start it again; this scan is closed, begin a new one"),
     Fault("F25", "everything ended at once", _KEPT, "nothing: scans are checked at the next start; then resume"),
     Fault("F26", "a second {detail} was started", "the first one goes on", "stop one of them"),
-    Fault("F27", "the light changed: {detail}", _KEPT + "; frames since then are marked", "look at the lamp and room"),
+    Fault(
+        "F27",
+        "the light changed: {detail}",
+        _KEPT + "; frames since then are marked",
+        "look at lamp and room; resume accepts the light, or stop",
+    ),
 )
 FAULTS: dict[str, Fault] = {row.code: row for row in _ROWS}
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from acquire.contract.faults import FAULTS
 
+from .bombard import bombard
 from .harness import run_scan
 from .kills import kill_many
 from .rows import FIRMWARE_ROWS, ROWS
@@ -93,6 +94,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kills", type=int, default=0, help="SIGKILLs of a random process at random times")
+    parser.add_argument("--bombs", type=int, default=0, help="messages that nobody should send, for each socket")
     parser.add_argument("--sabotage", action="store_true", help="switch each protection off in turn")
     parser.add_argument("--write", type=Path, help="put the table into this file, between its marks")
     return parser.parse_args()
@@ -106,6 +108,8 @@ def main() -> int:
     kills = kill_many(options.kills, options.seed) if options.kills else None
     if kills is not None:
         lines += ["", kills.words()]
+    if options.bombs:
+        lines += ["", bombard(options.bombs, options.seed)]
     print("\n".join(lines), f"\n{time.monotonic() - began:.0f} s", flush=True)
     if options.write:
         text = options.write.read_text()

@@ -77,7 +77,7 @@ def deliveries(script: str, count: int) -> list[tuple[int, tuple[int, ...]] | st
 @pytest.mark.parametrize(
     ("script", "ids"),
     [("", [0, 1, 2]), ("lose:1", [0, 2]), ("skip:1", [0, 1]), ("extra:1", [0, 1, 2, 3]), ("double:1", [0, 1, 1, 2]),
-     ("late:0", [1, 0, 2]), ("restart:1", [0, "gone", "gone", 0])],
+     ("stray:1", [0, 0, 1, 2]), ("late:0", [1, 0, 2]), ("restart:1", [0, "gone", "gone", 0])],
 )  # fmt: skip
 def test_the_script_does_to_the_ids_what_it_says(script, ids):
     assert [item if isinstance(item, str) else item[0] for item in deliveries(script, 3)] == ids

@@ -1,0 +1,191 @@
+"""Files that people hand in, cut short or with flipped bits: one error class with one line, never a crash or a hang."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from acquire.contract.calibration import load_calibration, parse_calibration
+from acquire.contract.config import load_config
+from acquire.contract.errors import CalibrationError, ConfigError, SweepscopeError
+from acquire.contract.scan_reader import ScanReader
+from acquire.contract.states import Outcome
+from acquire.importing import import_folder
+from acquire.recover import recover
+from acquire.scan_file import create_scan
+from acquire.verify import verify
+from tests.fakes.frames import image_of, pixels_of, start_of
+
+COUNT = 6
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=8), inner, max_size=5),
+    max_leaves=20,
+)
+quick = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory) -> bytes:
+    folder = tmp_path_factory.mktemp("sealed") / "scan"
+    start = start_of(folder, COUNT)
+    scan = create_scan(folder, start)
+    for frame_index in range(COUNT):
+        pixels = pixels_of(frame_index, COUNT, start.format)
+        scan.write_frame(image_of(frame_index, pixels, start), pixels)
+    scan.seal(Outcome.COMPLETE)
+    scan.close()
+    return (folder / "scan.h5").read_bytes()
+
+
+def assert_survives(path: Path) -> str:
+    """Verifying ends with a report or with one line; whatever is called sound is sound."""
+    try:
+        report = verify(path)
+    except SweepscopeError as error:
+        assert "\n" not in str(error)
+        return "refused"
+    return "sound" if report.ok else "damaged"
+
+
+def test_a_scan_cut_short_at_any_byte_is_refused_or_named_as_damaged(sealed, tmp_path):
+    source, path = random.Random(1), tmp_path / "scan.h5"
+    cuts = {*range(0, 200, 7), *(source.randrange(len(sealed)) for _ in range(150)), len(sealed) - 1}
+    for cut in sorted(cuts):
+        path.write_bytes(sealed[:cut])
+        assert assert_survives(path) != "sound", f"cut at byte {cut}"
+
+
+def test_a_partial_scan_cut_short_is_never_recovered_into_something_it_is_not(sealed, tmp_path):
+    source, path = random.Random(2), tmp_path / "scan.partial.h5"
+    for cut in [0, 1, *(source.randrange(len(sealed)) for _ in range(40))]:
+        path.write_bytes(sealed[:cut])
+        (found,) = recover(tmp_path)
+        assert found.state == "unreadable" and path.stat().st_size == cut
+
+
+def test_flipped_bits_in_the_pixels_are_always_found(sealed, tmp_path):
+    source, path = random.Random(3), tmp_path / "scan.h5"
+    path.write_bytes(sealed)
+    with ScanReader(path) as reader:
+        first, size = reader.layout.frame_offset(0), COUNT * reader.layout.frame_nbytes
+    for _ in range(60):
+        spoiled = bytearray(sealed)
+        spoiled[first + source.randrange(size)] ^= 1 << source.randrange(8)
+        path.write_bytes(spoiled)
+        assert assert_survives(path) == "damaged"
+
+
+_FLIP = """
+import random, sys
+from pathlib import Path
+from tests.faults.test_hostile_files import assert_survives
+whole, path, source = Path(sys.argv[1]).read_bytes(), Path(sys.argv[2]), random.Random(int(sys.argv[3]))
+for _ in range(int(sys.argv[4])):
+    spoiled = bytearray(whole)
+    for _ in range(source.choice([1, 1, 8])):
+        spoiled[source.randrange(6000)] ^= 1 << source.randrange(8)
+    path.write_bytes(spoiled)
+    assert_survives(path)
+"""
+
+
+def test_flipped_bits_in_the_structure_crash_nobody(sealed, tmp_path):
+    """In a process of its own, because the library that reads HDF5 is C: a crash there would take the tests along."""
+    import subprocess
+    import sys
+
+    (tmp_path / "whole").write_bytes(sealed)
+    arguments = [str(tmp_path / "whole"), str(tmp_path / "scan.h5"), "4", "200"]
+    done = subprocess.run(
+        [sys.executable, "-c", _FLIP, *arguments], capture_output=True, text=True, timeout=100, check=False,
+        cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+@quick
+@given(json_values)
+def test_any_json_as_calibration_is_accepted_or_refused_in_one_line(value):
+    try:
+        parse_calibration(json.dumps(value), "the file")
+    except CalibrationError as error:
+        assert "\n" not in str(error)
+
+
+GOOD = {
+    "format": "sweepscope-calibration",
+    "version": 1,
+    "camera": {
+        "width": 64, "height": 48, "K": [[100, 0, 32], [0, 100, 24], [0, 0, 1]], "distortion": [0, 0, 0, 0, 0],
+        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "T": [0, 0, 80],
+    },
+    "light_plane": {
+        "kind": "translating", "parameter": "position_um", "edge": "rising", "normal": [1, 0, 0],
+        "corner_origin_mm": [0, 0, 0], "corner_velocity_mm": [0.001, 0, 0], "velocity_direction": "normal",
+    },
+}  # fmt: skip
+
+
+@quick
+@given(st.sampled_from(["camera", "light_plane"]), st.data(), json_values)
+def test_a_calibration_with_one_wild_value_is_accepted_or_refused_in_one_line(section, data, value):
+    spoiled = json.loads(json.dumps(GOOD))
+    spoiled[section][data.draw(st.sampled_from(sorted(spoiled[section])))] = value
+    try:
+        parse_calibration(json.dumps(spoiled), "the file")
+    except CalibrationError as error:
+        assert "\n" not in str(error)
+
+
+@quick
+@given(st.binary(max_size=300))
+def test_any_bytes_as_calibration_or_configuration_are_refused_in_one_line(tmp_path, raw):
+    path = tmp_path / "file"
+    path.write_bytes(raw)
+    with pytest.raises(CalibrationError) as refused:
+        load_calibration(path)
+    assert "\n" not in str(refused.value)
+    try:
+        load_config(str(path), environ={})
+    except ConfigError as error:
+        assert "\n" not in str(error)
+
+
+@quick
+@given(st.sampled_from(["camera", "stage", "storage", "limits", "sweep", "simulation"]), st.data(), json_values)
+def test_a_configuration_with_one_wild_value_is_accepted_or_refused_in_one_line(section, data, value):
+    import tomli_w
+
+    from acquire.contract.config_model import RigConfig
+
+    key = data.draw(st.sampled_from(sorted(getattr(RigConfig(), section).__struct_fields__)))
+    try:
+        text = tomli_w.dumps({section: {key: value}})
+    except (TypeError, ValueError):
+        return  # TOML has no null
+    variable = {f"SWEEPSCOPE_{section.upper()}__{key.upper()}": text.partition("=")[2].strip()}
+    try:
+        load_config(environ=variable)
+    except ConfigError as error:
+        assert "\n" not in str(error)
+
+
+def test_a_folder_with_a_picture_cut_short_is_refused_by_its_name(tmp_path):
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for k in range(4):
+        cv2.imwrite(str(frames / f"{k}.png"), np.full((20, 30), 10 * k, np.uint8))
+    whole = (frames / "2.png").read_bytes()
+    for cut in (0, 1, 8, 20, len(whole) // 2):
+        (frames / "2.png").write_bytes(whole[:cut])
+        with pytest.raises(SweepscopeError, match="2.png"):
+            import_folder(frames, tmp_path / "scan.h5")
+        assert not (tmp_path / "scan.h5").exists()
