@@ -159,7 +159,7 @@ def disk_full(rig: Rig) -> None:
 
 def disk_broken(rig: Rig) -> None:
     """F07: an I/O error holds the sweep until the disk is mended; a file that is gone is said to be gone."""
-    rig.set(LIMITS__SEAL_S=1.0)
+    rig.set(LIMITS__SEAL_S=4.0)
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "EIO"
     rig.start("daemon", "writer")
     with rig.client() as client:

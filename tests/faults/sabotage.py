@@ -109,9 +109,10 @@ def _no_time_watch() -> None:
 
 
 def _wall_clock() -> None:
-    from acquire.contract.clocks import MonotonicClock
+    from acquire.contract.clocks import MonotonicClock, epoch_utc_ns
 
-    _replace(MonotonicClock, "now_ns", lambda _self: time.time_ns())
+    at_start_ns = epoch_utc_ns()
+    _replace(MonotonicClock, "now_ns", lambda _self: time.time_ns() - at_start_ns)
 
 
 def _no_reservation() -> None:
@@ -155,10 +156,7 @@ def _no_bounds() -> None:
 
     from acquire.contract import codec
 
-    _replace(codec, "decode", lambda header: msgpack.unpackb(header, strict_map_key=False))
-    from acquire.contract import lanes
-
-    _replace(lanes, "decode", codec.decode)
+    _replace(codec, "_unpack", lambda header: msgpack.unpackb(header, strict_map_key=False))
 
 
 def _no_writer_time_out() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from acquire.contract.faults import FAULTS
@@ -17,3 +19,14 @@ def test_the_promise_holds_under(fault):
 
 def test_every_row_of_the_table_has_its_place():
     assert {*ROWS, *FIRMWARE_ROWS} == set(FAULTS)
+
+
+def test_the_texts_of_the_manual_are_those_of_the_console():
+    manual = (Path(__file__).parents[2] / "docs/faults.md").read_text()
+    for fault in FAULTS.values():
+        assert f"| {fault.code} | {fault.happened} | {fault.safe} | {fault.to_do} |" in manual
+
+
+def test_a_harness_that_lost_a_protection_says_so():
+    with pytest.raises(AssertionError, match="another one than the rig showed"):
+        run_scan("F17", at=0.4, seed=1, sabotage="ledger")
