@@ -105,8 +105,12 @@ class ScanSession:
         try:
             # somebody else may have closed it for good meanwhile
             if scan.path.exists():
-                scan.mark_outcome(Outcome.INTERRUPTED, "F01 the daemon ended in mid-sweep")
-                logger.warning("the daemon is gone: %d of %d frames are in %s", scan.prefix, scan.count, scan.path)
+                scan.mark_outcome(
+                    Outcome.INTERRUPTED, "F01 nobody owns the sweep any more: its daemon ended, or let go of it"
+                )
+                logger.warning(
+                    "nobody owns the sweep any more: %d of %d frames are in %s", scan.prefix, scan.count, scan.path
+                )
             self.leave()
         except DiskError as error:
             logger.error("%s", error)

@@ -84,6 +84,8 @@ COUNTERS: tuple[str, ...] = (
     "check_triggers",
     "check_frames",
 )
+_CAN_BE_RESUMED = frozenset({"F12", "F13", "F15"})
+"""Alarms after which the specimen and the frames are as they were: the scan stays partial."""
 _CHECKS = (Phase.AMBIENT, Phase.OVERLAP, Phase.REPEAT)
 _SHOOTING = (Phase.OVERLAP, Phase.RUN, Phase.STOPPING, Phase.REPEAT)
 _BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP)
@@ -362,6 +364,10 @@ class Sweep:
         return []
 
     def _finish(self, now_ns: int) -> list[Action]:
+        if self.outcome is Outcome.INTERRUPTED:
+            # what was taken is committed; nothing is sealed, so that the sweep can go on another time
+            self.phase = Phase.DONE
+            return []
         self.phase = Phase.SEAL
         self._deadline_ns = now_ns + self.settings.seal_ns
         if self.outcome is Outcome.RUNNING:
@@ -426,7 +432,8 @@ class Sweep:
     def _on_alarm(self, event: Alarm, now_ns: int) -> list[Action]:
         # the controller stands already: nothing more will be heard of the activity
         self.position_steps, self._resting, self.shooting.segment_done = event.position_steps, True, True
-        return self._give_up(Outcome.ABORTED, event.detail, event.code, now_ns)
+        outcome = Outcome.INTERRUPTED if event.code in _CAN_BE_RESUMED else Outcome.ABORTED
+        return self._give_up(outcome, event.detail, event.code, now_ns)
 
     def _on_committed(self, event: Committed, now_ns: int) -> list[Action]:
         self.durable = event.durable_count
@@ -466,7 +473,7 @@ class Sweep:
         if self.phase in (Phase.DRAIN, Phase.SEAL):
             return self._abandon(Outcome.INTERRUPTED, "the writer did not seal in time", self._report("F03"))
         self._resting = True  # it cannot be asked to stop once more: the daemon closes it
-        return self._give_up(Outcome.ABORTED, "the stage does not answer", "F12", now_ns)
+        return self._give_up(Outcome.INTERRUPTED, "the stage does not answer", "F12", now_ns)
 
     def _moving_until(self, now_ns: int) -> None:
         self._resting = False

@@ -42,10 +42,22 @@ _ROWS = (
     Fault("F09", "a viewer or console is slow", "the sweep does not notice", "nothing"),
     Fault("F10", "a console or viewer went away", "the sweep goes on", "open it again"),
     Fault("F11", "noise on the serial line: {detail}", "damaged blocks are resent", "check cable and ground"),
-    Fault("F12", "the stage's controller is gone: {detail}", _KEPT + "; the stage holds", "plug it in again"),
-    Fault("F13", "the stage's controller was reset", _KEPT + "; its position is not trusted", "home, then resume"),
+    Fault(
+        "F12",
+        "the stage's controller is gone: {detail}",
+        _KEPT + "; the stage holds",
+        "plug it in again; if the sweep has ended, resume the scan",
+    ),
+    Fault(
+        "F13", "the stage's controller was reset", _KEPT + "; its position is not trusted", "home, then resume the scan"
+    ),
     Fault("F14", "another firmware: {detail}", "nothing has moved", "flash the firmware of this version"),
-    Fault("F15", "the host was too late for the stage", _KEPT + "; the stage holds", "resume; look at the load"),
+    Fault(
+        "F15",
+        "the host was too late for the stage",
+        _KEPT + "; the stage holds",
+        "look at the load, then resume the scan",
+    ),
     Fault(
         "F16",
         "frame {frame} was lost {attempts} times",

@@ -148,6 +148,19 @@ def test_an_alarm_of_the_stage_closes_the_sweep_as_aborted():
     assert done(on) and on.sweep.outcome is Outcome.ABORTED and on.faults[0].code == "F23"
 
 
+@pytest.mark.parametrize("code", ["F12", "F13", "F15"])
+def test_a_controller_that_is_lost_leaves_the_sweep_interrupted_so_that_it_can_be_resumed(code):
+    on = bench(10)
+    on.spoil = lambda frame_index, attempt: "missed" if frame_index == 4 else ""
+    on.start()
+    on.feed(Alarm(code, "gone", 33, position_trusted=False))
+    on.tick(200)
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
+    assert on.end is None, "nothing may be sealed"
+    assert [fault.code for fault in on.faults] == [code]
+
+
 def test_a_trigger_at_another_place_than_planned_is_never_taken_for_right():
     on = bench(20, slots=4)
     on.acking = False
@@ -165,7 +178,7 @@ def test_a_stage_that_falls_silent_is_a_fault_and_not_an_endless_wait():
     on.feed(WriterReady(reserved=True, came_back=False))
     on.tick(1)
     on.tick(5001)
-    assert on.faults[0].code == "F12" and on.sweep.outcome is Outcome.ABORTED
+    assert on.faults[0].code == "F12" and on.sweep.outcome is Outcome.INTERRUPTED
 
 
 def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
@@ -216,4 +229,5 @@ def test_a_resumed_sweep_whose_overlap_frame_does_not_come_stays_interrupted():
     on.spoil = lambda frame_index, attempt: "missed" if attempt == 0 else ""
     on.start()
     on.tick(200)
+    on.tick(1)
     assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
