@@ -349,11 +349,15 @@ def clock_jumps(rig: Rig) -> None:
 
 
 def told_to_end(rig: Rig) -> None:
-    """F24: SIGTERM, or Ctrl-C three times: the sweep ends with an honest end, the service with status 0."""
+    """F24: SIGTERM, or Ctrl-C three times, sweeping or paused: an honest end, and the service leaves with status 0."""
     rig.start("daemon", "writer")
     with rig.client() as client:
         scan = rig.begin(client)
+        rig.at *= 0.6
         rig.moment(client)
+        if rig.random.random() < 0.5:
+            client.request("pause")
+            rig.until_status(client, lambda s: s.state == "holding", "it holds")
     if rig.random.random() < 0.5:
         for _ in range(2):
             rig.send_signal("daemon", signal.SIGINT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from acquire.contract.states import Outcome
 from acquire.recover import Recovered, RecoverOptions, recover
 from acquire.scan_file import ScanFile, create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
+from tui.cli import run
 
 COUNT = 8
 
@@ -221,3 +223,20 @@ def test_recover_killed_at_every_one_of_its_steps_is_finished_by_the_next(tmp_pa
         assert (found.state, found.outcome, found.committed) == ("sealed", "aborted", 4), f"killed at call {call}"
         assert not (folder / "scan.partial.h5").exists()
     assert call > 10
+
+
+def test_the_command_looks_after_a_folder_of_scans_and_says_what_it_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begin(tmp_path / "a", 5).close()
+    assert run(["recover", str(tmp_path)]) == 0
+    assert "interrupted: 5 of 8 frames are safe" in capsys.readouterr().out
+    os.truncate(tmp_path / "a" / "scan.partial.h5", 100)
+    assert run(["recover", str(tmp_path), "--json"]) == 1
+    (scan,) = json.loads(capsys.readouterr().out)["scans"]
+    assert scan["state"] == "unreadable" and scan["detail"].startswith("left as it is")
+
+
+def test_the_command_refuses_a_folder_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["recover", "/nonexistent/scans"]) == 1
+    assert "does not exist" in capsys.readouterr().err
