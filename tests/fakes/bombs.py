@@ -14,7 +14,7 @@ from acquire.contract.codec import encode
 from acquire.contract.lanes import connect
 from acquire.contract.messages import PROTOCOL, Command, Image, Nack
 
-LANES = {"command": zmq.DEALER, "frames": zmq.DEALER, "status": zmq.SUB, "live": zmq.SUB, "results": zmq.SUB}
+LANES = {"command": zmq.DEALER, "frames": zmq.DEALER, "status": zmq.XSUB, "live": zmq.XSUB, "results": zmq.XSUB}
 
 
 def bombs(seed: int) -> Iterator[list[bytes]]:
@@ -36,8 +36,8 @@ def hit(run_dir: Path, *, count: int, seed: int) -> dict[str, int]:
         }
         for parts, _ in zip(bombs(seed), range(count), strict=False):
             for lane, socket in sockets.items():
-                # a subscriber can send as well: its bytes are read as subscriptions
-                if socket.poll(1000, zmq.POLLOUT) if socket.type == zmq.DEALER else False:
+                # a subscriber can send as well: some of its bytes are read as subscriptions
+                if socket.poll(1000, zmq.POLLOUT):
                     socket.send_multipart(parts)
                     sent[lane] += 1
         context.destroy(linger=2000)

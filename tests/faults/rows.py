@@ -287,8 +287,9 @@ def frames_of_another_shape(rig: Rig) -> None:
 
 def hostile_messages(rig: Rig) -> None:
     """F20: bombs on every socket during a sweep are counted and ignored."""
-    rig.start("daemon", "writer")
+    rig.start("daemon", "writer", "worker")
     with rig.client() as client:
+        rig.until((rig.run_dir / "results.sock").exists, "the worker is up")
         scan = rig.begin(client)
         rig.at *= 0.3
         rig.moment(client)
@@ -297,7 +298,8 @@ def hostile_messages(rig: Rig) -> None:
         status = _complete(rig, client, scan)
         assert client.request("status").ok
         assert rig.rss("daemon") - before < 100_000_000
-        assert sent["command"] and sent["frames"] and status.counters["malformed"] > 0
+        assert all(process.poll() is None for process in rig.processes.values()), "a service died"
+        assert sent["results"] and sent["command"] and sent["frames"] and status.counters["malformed"] > 0
 
 
 def calibration_unusable(rig: Rig) -> None:
