@@ -3,7 +3,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
-APT := chromium fonts-dejavu-core tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
+APT := chromium fonts-dejavu-core systemd tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
 ifneq ($(shell id -u),0)
 SUDO := sudo
 endif

@@ -20,7 +20,9 @@ from acquire.contract.config import LoadedConfig
 from acquire.contract.errors import ProtocolError, SweepscopeError
 from acquire.contract.faults import in_one_line, report
 from acquire.contract.lanes import Received, Sender, bind, receive
+from acquire.contract.logs import follow_scan
 from acquire.contract.messages import Command, FaultReport, Reply, Status
+from acquire.contract.notify import Notifier
 from acquire.contract.outcome import outcome_words
 from acquire.contract.places import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State, transition
@@ -55,6 +57,7 @@ class Daemon:
         self.board = Board(config)
         self.scan: RunningScan | None = None
         self.ending = False
+        self._notifier = Notifier()
         self._inbox = Inbox()
         self._context: zmq.Context[Any] = zmq.Context()
         self.lane = FrameLane(bind(self._context, zmq.ROUTER, run_dir, "frames"))
@@ -89,14 +92,17 @@ class Daemon:
         for source in (self.lane.socket, self._commands.socket, self._inbox.fileno()):
             poller.register(source, zmq.POLLIN)
         deadline_ns: int | None = None
+        self._notifier.ready(self.board.message)
         while True:
             poller.poll(POLL_MS)
             self._turn()
+            self._notifier.alive()
             if not self.ending:
                 continue
             now_ns = self.clock.now_ns()
             if deadline_ns is None:
                 deadline_ns = now_ns + round(self.config.rig.limits.stop_s * NS_PER_S)
+                self._notifier.stopping()
                 self._interrupt(now_ns)
             if self.scan is None or now_ns > deadline_ns:
                 break
@@ -145,6 +151,7 @@ class Daemon:
         now_ns = self.clock.now_ns()
         self.board.scan_started(now_ns)
         self.scan = RunningScan(prepared, self.rig, self.lane, self.live, on_fault=self.fault, on_message=self.say)
+        follow_scan(prepared.start.scan_uid)
         self.scan.begin(now_ns)
         self.enter(State.ARMED)
         for warning in prepared.warnings:

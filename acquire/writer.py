@@ -19,7 +19,9 @@ from acquire.contract.codec import ProtocolMismatchError
 from acquire.contract.config import LoadedConfig
 from acquire.contract.errors import AlreadyRunningError, ProtocolError
 from acquire.contract.lanes import Received, Sender, open_socket, receive
+from acquire.contract.logs import follow_scan
 from acquire.contract.messages import End, Hello, Image, Message, Nack, Start
+from acquire.contract.notify import Notifier
 from acquire.contract.places import endpoint, lock_service, prepare_run_dir
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
@@ -129,6 +131,8 @@ class WriterService:
         poller = zmq.Poller()
         poller.register(self._disk.fileno(), zmq.POLLIN)
         poller.register(self._stop_fd, zmq.POLLIN)
+        notifier = Notifier()
+        notifier.ready("the writer waits for scans")
         while not self._stopping:
             heard = self._beat()
             # a beat that nobody could hear goes out as soon as somebody is there
@@ -139,6 +143,7 @@ class WriterService:
             self._disk.collect()
             self._session.press_on()
             self._watch_owner()
+            notifier.alive()
 
     def close(self) -> None:
         """Press what is committed onto the disk and leave."""
@@ -187,6 +192,7 @@ class WriterService:
         # whatever else comes is answered after the frames before it
         self._session.flush()
         if isinstance(message, Start):
+            follow_scan(message.scan_uid)
             self._session.start(message)
         elif isinstance(message, End):
             self._session.end(message)

@@ -18,7 +18,9 @@ from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.config import LoadedConfig
 from acquire.contract.errors import ProtocolError, ScanFileError, SweepscopeError
 from acquire.contract.lanes import Received, bind, connect, open_socket, receive
+from acquire.contract.logs import follow_scan
 from acquire.contract.messages import End, Image, Message, ResultEnd, Start, Status
+from acquire.contract.notify import Notifier
 from acquire.contract.places import endpoint, lock_service
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
@@ -99,8 +101,11 @@ class Worker:
     def run(self, stop: threading.Event) -> None:
         """Turn until told to stop."""
         logger.info("worker ready")
+        notifier = Notifier()
+        notifier.ready("the worker waits for frames")
         while not stop.is_set():
             self.turn()
+            notifier.alive()
 
     def turn(self) -> None:
         """Wait for something to do for at most :data:`IDLE_MS`, and do it."""
@@ -190,6 +195,7 @@ class Worker:
         except (SweepscopeError, ValueError, MemoryError) as error:
             self._refuse(announced.scan_uid, error)
             return
+        follow_scan(announced.scan_uid)
         logger.info("scan %s: %d frames", announced.scan_uid, announced.count)
         self._refresh_ns = self._refresh_until_ns = self._retry_ns = self._tries = 0
         self.outbox.begin(self.session)

@@ -12,6 +12,7 @@ from types import FrameType
 
 from acquire.contract.clocks import MonotonicClock
 from acquire.contract.config import LoadedConfig
+from acquire.contract.notify import Notifier
 from acquire.contract.places import lock_service, prepare_run_dir
 
 from .commands import CommandLine
@@ -97,10 +98,13 @@ class Viewer:
 
     def run(self, stop: threading.Event) -> None:
         """Put news on the page until ``stop`` is set (and ``wake`` with it)."""
+        notifier = Notifier()
+        notifier.ready("the page is served")
         while not stop.is_set():
             self._wake.wait(BEAT_S)
             self._wake.clear()
             self._turn()
+            notifier.alive()
             stop.wait(TURN_S)
 
     def _turn(self) -> None:
@@ -123,11 +127,12 @@ def address(gate: Gate, port: int) -> str:
 
 
 def announce(url: str, run_dir: Path) -> None:
-    """Print the address on a line of its own, and leave it in ``viewer.url``, which only this user can read."""
+    """Print the address on a line of its own, and leave it in ``viewer.url``, for those who may use the sockets."""
     target = run_dir / URL_FILE
     temporary = run_dir / f"{URL_FILE}.new"
     temporary.unlink(missing_ok=True)
-    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+    mode = 0o640 if run_dir.stat().st_mode & 0o010 else 0o600
+    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="ascii") as file:
         file.write(f"{url}\n")
     temporary.replace(target)
     print(url, flush=True)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,12 +50,10 @@ class Session:
         return prepare_run_dir(service_run_dir())
 
     def log_as(self, service: str) -> None:
-        """Send log lines to stderr, one line each, with the service's name."""
-        logging.basicConfig(
-            level=logging.DEBUG if self.debug else logging.INFO,
-            format=f"%(asctime)s {service} %(levelname)s %(message)s",
-            datefmt="%H:%M:%S",
-        )
+        """Send log records to the journal, or to stderr, one line each, with the service's name."""
+        from acquire.contract.logs import set_up
+
+        set_up(service, debug=self.debug)
 
 
 def json_option(function: F) -> F:

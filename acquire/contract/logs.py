@@ -1,0 +1,87 @@
+"""Owns how services log: fields with the scan's uid to journald where it listens, else one line each on stderr."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import struct
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+JOURNAL_SOCKET = Path("/run/systemd/journal/socket")
+SCAN_FIELD = "SWEEPSCOPE_SCAN_UID"
+SERVICE_FIELD = "SWEEPSCOPE_SERVICE"
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+_now = {"scan_uid": ""}
+
+
+def follow_scan(scan_uid: str) -> None:
+    """Everything that this process logs from now on belongs to this scan."""
+    _now["scan_uid"] = scan_uid
+
+
+def set_up(service: str, *, debug: bool = False, environ: Mapping[str, str] = os.environ) -> None:
+    """Send log records to the journal if stderr is its stream, else to stderr with time and name."""
+    handler: logging.Handler
+    if _stderr_is_journal(environ) and JOURNAL_SOCKET.exists():
+        handler = JournalHandler(service, JOURNAL_SOCKET)
+    else:
+        handler = logging.StreamHandler()
+        handler.setFormatter(
+            logging.Formatter(f"%(asctime)s {service} %(levelname)s %(scan)s%(message)s", datefmt="%H:%M:%S")
+        )
+    handler.addFilter(_add_scan)
+    logging.basicConfig(level=logging.DEBUG if debug else logging.INFO, handlers=[handler])
+
+
+def _add_scan(record: logging.LogRecord) -> bool:
+    record.scan_uid = _now["scan_uid"]
+    record.scan = f"[{record.scan_uid[:8]}] " if record.scan_uid else ""
+    return True
+
+
+def _stderr_is_journal(environ: Mapping[str, str]) -> bool:
+    """True if stderr is the stream that systemd announced (and was not sent elsewhere since)."""
+    try:
+        found = os.fstat(sys.stderr.fileno())
+    except (OSError, ValueError, AttributeError):
+        return False
+    return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
+
+
+class JournalHandler(logging.Handler):
+    """Sends each record as one datagram in journald's native format."""
+
+    def __init__(self, service: str, path: Path) -> None:
+        super().__init__()
+        self._service, self._path = service, str(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send; what the journal does not take goes to stderr."""
+        fields = {
+            "MESSAGE": self.format(record),
+            "PRIORITY": str(next((level for least, level in _PRIORITIES if record.levelno >= least), 7)),
+            "SYSLOG_IDENTIFIER": f"sweepscope-{self._service}",
+            "CODE_FILE": record.pathname,
+            "CODE_LINE": str(record.lineno),
+            SERVICE_FIELD: self._service,
+            SCAN_FIELD: getattr(record, "scan_uid", ""),
+        }
+        try:
+            self._socket.sendto(b"".join(_field(*item) for item in fields.items() if item[1]), self._path)
+        except OSError:
+            print(fields["MESSAGE"], file=sys.stderr)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+        super().close()
+
+
+def _field(name: str, value: str) -> bytes:
+    """Binary-safe form: the name, a newline, the length as 64 bits little endian, the value."""
+    data = value.encode("utf-8", "replace")
+    return name.encode() + b"\n" + struct.pack("<Q", len(data)) + data + b"\n"
