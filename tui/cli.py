@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import files, rig, services, stage, tools
+from tui.commands import appliance, files, rig, services, stage, tools
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -28,7 +28,7 @@ def cli(context: click.Context, config_path: str | None, debug: bool) -> None:
     context.obj = Session(config_path, debug)
 
 
-for _command in (*services.COMMANDS, *rig.COMMANDS, *files.COMMANDS, *stage.COMMANDS, *tools.COMMANDS):
+for _command in (*services.COMMANDS, *rig.COMMANDS, *files.COMMANDS, *stage.COMMANDS, *tools.COMMANDS, *appliance.COMMANDS):
     cli.add_command(_command)
 
 

@@ -37,8 +37,8 @@ def set_up(service: str, *, debug: bool = False, environ: Mapping[str, str] = os
 
 
 def _add_scan(record: logging.LogRecord) -> bool:
-    record.scan_uid = _now["scan_uid"]
-    record.scan = f"[{record.scan_uid[:8]}] " if record.scan_uid else ""
+    scan_uid = _now["scan_uid"]
+    record.__dict__.update(scan_uid=scan_uid, scan=f"[{scan_uid[:8]}] " if scan_uid else "")
     return True
 
 

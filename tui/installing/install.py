@@ -1,0 +1,206 @@
+"""Owns installing and updating: builds the new release beside the old one, and goes back to it if the new one fails."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from acquire.contract.config import load_config
+from tui.installing.machine import InstallError, point, put, run, systemctl, systemd_runs
+from tui.installing.places import SERVICES, TARGET, Places
+from tui.installing.units import unit_text
+
+START_S = 200.0
+"""The new services have so long to be ready: the first start compiles kernels."""
+OWNER = "sweepscope"
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the person wants."""
+
+    source: Path
+    """Tree with pyproject.toml, constraints.txt and systemd/."""
+    settings: dict[str, dict[str, Any]]
+    """rig.toml of a first installation; an update keeps the configuration that is there."""
+    packages_from: Path | None = None
+    """site-packages of another environment to share instead of downloading the dependencies."""
+    start: bool = True
+
+
+@dataclass
+class Installer:
+    """One run. ``steps`` says what will be done; :meth:`go` does it, and undoes the switch if the services fail."""
+
+    places: Places
+    wishes: Wishes
+    say: Callable[[str], None]
+    stamp: str = field(default_factory=lambda: datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f"))
+    _replaced: dict[Path, str | None] = field(default_factory=dict)
+
+    @property
+    def release(self) -> Path:
+        """The new environment."""
+        return self.places.releases / self.stamp
+
+    def steps(self) -> list[tuple[str, Callable[[], None]]]:
+        """Words and deeds in their order; up to the switch nothing that runs is touched."""
+        found = [
+            (f"build a Python environment in {self.release}", self._build),
+            ("try the new program", self._try),
+            (self._config_words(), self._configure),
+        ]
+        if not self.places.user:
+            found.append(("make user and group, folders and device rules", self._prepare_machine))
+        found.append((f"put units into {self.places.units}, link {self.places.command} and switch", self._switch))
+        if self.wishes.start and systemd_runs(user=self.places.user):
+            found.append((f"start {TARGET} and wait until all services are ready", self._start))
+        found.append(("remove releases older than the one before", self._tidy))
+        return found
+
+    def go(self) -> None:
+        """Do all steps.
+
+        Raises:
+            InstallError: a step failed; the old release runs as before.
+        """
+        before = self.places.current.resolve() if self.places.current.is_symlink() else None
+        for words, deed in self.steps():
+            self.say(words)
+            try:
+                deed()
+            except (InstallError, OSError, KeyboardInterrupt) as error:
+                self._go_back(before)
+                kept = f"{before.name} is in place as before" if before else "nothing is installed"
+                raise InstallError(f"{words}: {error}; {kept}") from None
+
+    # ---- before the switch ----
+
+    def _build(self) -> None:
+        self.places.releases.mkdir(parents=True, exist_ok=True)
+        self.places.home.chmod(0o755)
+        run(_base_python(), "-m", "venv", self.release)
+        python, constraints = self.release / "bin/python", self.wishes.source / "constraints.txt"
+        pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+        if self.wishes.packages_from is None:
+            run(*pip, "--constraint", constraints, self.wishes.source)
+            return
+        run(*pip, "--no-deps", self.wishes.source)
+        site = next((self.release / "lib").glob("python3*/site-packages"))
+        (site / "shared.pth").write_text(f"{self.wishes.packages_from}\n")
+
+    def _try(self) -> None:
+        run(self.release / "bin/sweepscope", "version", timeout_s=60)
+
+    def _config_words(self) -> str:
+        config = self.places.config
+        return f"keep the configuration {config}" if config.exists() else f"write the configuration {config}"
+
+    def _configure(self) -> None:
+        if not self.places.config.exists():
+            put(self.places.config, tomli_w.dumps(self.wishes.settings))
+            self._replaced[self.places.config] = None
+        load_config(str(self.places.config), environ={})
+
+    def _prepare_machine(self) -> None:
+        for name, target in self.places.system_files().items():
+            self._put(target, (self.wishes.source / "systemd" / name).read_text())
+        files = self.places.system_files()
+        run("systemd-sysusers", files["sysusers.d/sweepscope.conf"])
+        run("systemd-tmpfiles", "--create", files["tmpfiles.d/sweepscope.conf"])
+        data = self._data_dir()
+        if not data.exists():
+            data.mkdir(parents=True, mode=0o750)
+            shutil.chown(data, OWNER, OWNER)
+        if systemd_runs(user=False) and shutil.which("udevadm") and Path("/run/udev/control").exists():
+            run("udevadm", "control", "--reload", timeout_s=30)
+            run("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=video4linux", timeout_s=30)
+
+    # ---- the switch and after ----
+
+    def _switch(self) -> None:
+        data_dir = str(self._data_dir())
+        for path in sorted((self.wishes.source / "systemd/system").iterdir()):
+            self._put(self.places.units / path.name, unit_text(path.read_text(), self.places, data_dir))
+        point(self.places.current, self.release)
+        self.places.command.parent.mkdir(parents=True, exist_ok=True)
+        point(self.places.command, self.places.current / "bin/sweepscope")
+        files = [str(path) for path in (*self._replaced, self.places.command)]
+        put(self.places.manifest, json.dumps({"files": files, "release": self.stamp}, indent=1))
+
+    def _start(self) -> None:
+        user = self.places.user
+        systemctl("daemon-reload", user=user)
+        systemctl("enable", "--quiet", TARGET, user=user)
+        systemctl("restart", "sweepscope-*.service", TARGET, user=user)
+        wait_until_ready(user=user)
+
+    def _tidy(self) -> None:
+        for old in sorted(self.places.releases.iterdir())[:-2]:
+            shutil.rmtree(old, ignore_errors=True)
+
+    def _put(self, path: Path, text: str) -> None:
+        self._replaced.setdefault(path, path.read_text() if path.exists() else None)
+        put(path, text)
+
+    def _data_dir(self) -> Path:
+        return load_config(str(self.places.config), environ={}).data_dir
+
+    def _go_back(self, before: Path | None) -> None:
+        switched = self.places.current.is_symlink() and self.places.current.resolve() == self.release.resolve()
+        for path, text in self._replaced.items():
+            if text is None:
+                path.unlink(missing_ok=True)
+            else:
+                put(path, text)
+        shutil.rmtree(self.release, ignore_errors=True)
+        if before is None:
+            self.places.current.unlink(missing_ok=True)
+            self.places.command.unlink(missing_ok=True)
+        elif switched:
+            point(self.places.current, before)
+        if switched and systemd_runs(user=self.places.user):
+            self._restart_old(running=before is not None)
+
+    def _restart_old(self, *, running: bool) -> None:
+        try:
+            systemctl("daemon-reload", user=self.places.user)
+            systemctl("restart" if running else "stop", "sweepscope-*.service", user=self.places.user)
+        except InstallError as error:
+            self.say(f"the services could not be put back: {error}")
+
+
+def wait_until_ready(*, user: bool, deadline_s: float = START_S) -> None:
+    """Wait for the four services.
+
+    Raises:
+        InstallError: one of them is not ready by then; it is named.
+    """
+    units = [f"sweepscope-{service}.service" for service in SERVICES]
+    end_s = time.monotonic() + deadline_s
+    while True:
+        said = systemctl("show", "--property=ActiveState,NRestarts", "--value", *units, user=user).split()
+        states, restarts = said[0::2], said[1::2]
+        if not all(count.isdigit() for count in restarts):
+            states, restarts = restarts, states
+        if all(state == "active" for state in states):
+            return
+        lost = [unit for unit, count in zip(units, restarts, strict=False) if count.isdigit() and int(count) >= 3]
+        if lost or time.monotonic() > end_s:
+            stuck = lost or [u for u, state in zip(units, states, strict=False) if state != "active"]
+            raise InstallError(f"{', '.join(stuck)} does not get ready: see 'journalctl -u {stuck[0]}'")
+        time.sleep(0.2)
+
+
+def _base_python() -> str:
+    """The interpreter under the environment that runs us."""
+    return str(getattr(sys, "_base_executable", None) or sys.executable)

@@ -1,0 +1,87 @@
+"""Owns uninstalling: takes away everything that installing put there, and leaves scans and their configuration."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from acquire.contract.config import load_config
+from acquire.contract.errors import ConfigError
+from tui.installing.install import OWNER
+from tui.installing.machine import InstallError, run, systemctl, systemd_runs
+from tui.installing.places import TARGET, Places
+
+
+def uninstall_steps(places: Places, say: Callable[[str], None]) -> list[tuple[str, Callable[[], None]]]:
+    """Words and deeds in their order; each may be done again.
+
+    Raises:
+        InstallError: nothing is installed there.
+    """
+    if not places.manifest.exists():
+        raise InstallError(f"nothing is installed in {places.home}")
+    data = _data_dir(places)
+    steps: list[tuple[str, Callable[[], None]]] = []
+    if systemd_runs(user=places.user):
+        steps.append((f"stop and disable {TARGET}", lambda: _stop(places)))
+    steps.append(("keep the configuration beside the scans", lambda: _keep_config(places, data, say)))
+    steps.append(("remove units, rules and links", lambda: _remove_files(places)))
+    if not places.user:
+        steps.append(("give the scans to root and remove user and group", lambda: _remove_user(data, say)))
+    steps.append((f"remove {places.home} and {places.cache}", lambda: _remove_program(places)))
+    return steps
+
+
+def _stop(places: Places) -> None:
+    with suppress(InstallError):  # a target that was never enabled
+        systemctl("disable", "--quiet", TARGET, user=places.user)
+    systemctl("stop", TARGET, "sweepscope-*.service", user=places.user)
+
+
+def _data_dir(places: Places) -> Path:
+    try:
+        return load_config(str(places.config), environ={}).data_dir
+    except ConfigError:
+        return places.data
+
+
+def _keep_config(places: Places, data: Path, say: Callable[[str], None]) -> None:
+    if places.config.exists() and data.is_dir():
+        shutil.copyfile(places.config, data / "rig.toml")
+        say(f"  {data / 'rig.toml'}")
+
+
+def _remove_files(places: Places) -> None:
+    for name in json.loads(places.manifest.read_text())["files"]:
+        Path(name).unlink(missing_ok=True)
+    places.config.unlink(missing_ok=True)
+    for folder in (places.config.parent, Path("/run/sweepscope") if not places.user else None):
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+    if systemd_runs(user=places.user):
+        systemctl("daemon-reload", user=places.user)
+
+
+def _remove_user(data: Path, say: Callable[[str], None]) -> None:
+    for path in (Path("/var/lib/sweepscope"), data, *data.rglob("*")):
+        with suppress(OSError, LookupError):
+            if path.owner() == OWNER:  # scans that belong to somebody else stay theirs
+                os.chown(path, 0, 0, follow_symlinks=False)
+    for command in (("userdel", OWNER), ("groupdel", OWNER)):
+        try:
+            run(*command, timeout_s=30)
+        except InstallError as error:
+            if "does not exist" not in str(error):
+                say(f"  {error}")
+
+
+def _remove_program(places: Places) -> None:
+    if not places.user:
+        for path in Path("/var/lib/sweepscope").glob(".*"):  # what libraries leave in a home; never scans
+            shutil.rmtree(path, ignore_errors=True)
+    for folder in (places.cache, places.home):
+        shutil.rmtree(folder, ignore_errors=True)
