@@ -56,6 +56,7 @@ class JournalHandler(logging.Handler):
 
     def __init__(self, service: str, path: Path) -> None:
         super().__init__()
+        self.setFormatter(logging.Formatter("%(message)s"))
         self._service, self._path = service, str(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
 

@@ -135,7 +135,8 @@ def announce(url: str, run_dir: Path) -> None:
     with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="ascii") as file:
         file.write(f"{url}\n")
     temporary.replace(target)
-    print(url, flush=True)
+    # what stands in the journal is read by more people than the file is
+    print(f"the address of the page is in {target}" if os.environ.get("JOURNAL_STREAM") else url, flush=True)
 
 
 @contextlib.contextmanager

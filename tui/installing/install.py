@@ -15,6 +15,7 @@ from typing import Any
 import tomli_w
 
 from acquire.contract.config import load_config
+from acquire.contract.errors import SweepscopeError
 from tui.installing.machine import InstallError, point, put, run, systemctl, systemd_runs
 from tui.installing.places import SERVICES, TARGET, Places
 from tui.installing.units import unit_text
@@ -78,7 +79,7 @@ class Installer:
             self.say(words)
             try:
                 deed()
-            except (InstallError, OSError, KeyboardInterrupt) as error:
+            except (SweepscopeError, OSError, KeyboardInterrupt) as error:
                 self._go_back(before)
                 kept = f"{before.name} is in place as before" if before else "nothing is installed"
                 raise InstallError(f"{words}: {error}; {kept}") from None
@@ -88,9 +89,10 @@ class Installer:
     def _build(self) -> None:
         self.places.releases.mkdir(parents=True, exist_ok=True)
         self.places.home.chmod(0o755)
-        run(_base_python(), "-m", "venv", self.release)
+        # our own pip installs into it: Debian's Python comes without one
+        run(base_python(user=self.places.user), "-m", "venv", "--without-pip", self.release)
         python, constraints = self.release / "bin/python", self.wishes.source / "constraints.txt"
-        pip = (python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+        pip = (sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--disable-pip-version-check")
         if self.wishes.packages_from is None:
             run(*pip, "--constraint", constraints, self.wishes.source)
             return
@@ -157,6 +159,8 @@ class Installer:
 
     def _go_back(self, before: Path | None) -> None:
         switched = self.places.current.is_symlink() and self.places.current.resolve() == self.release.resolve()
+        if switched and before is None:
+            self._ask_systemd("stop", TARGET, "sweepscope-*.service")
         for path, text in self._replaced.items():
             if text is None:
                 path.unlink(missing_ok=True)
@@ -168,13 +172,16 @@ class Installer:
             self.places.command.unlink(missing_ok=True)
         elif switched:
             point(self.places.current, before)
-        if switched and systemd_runs(user=self.places.user):
-            self._restart_old(running=before is not None)
+        if switched:
+            self._ask_systemd("daemon-reload")
+            if before is not None:
+                self._ask_systemd("restart", "sweepscope-*.service", TARGET)
 
-    def _restart_old(self, *, running: bool) -> None:
+    def _ask_systemd(self, *words: str) -> None:
+        if not systemd_runs(user=self.places.user):
+            return
         try:
-            systemctl("daemon-reload", user=self.places.user)
-            systemctl("restart" if running else "stop", "sweepscope-*.service", user=self.places.user)
+            systemctl(*words, user=self.places.user)
         except InstallError as error:
             self.say(f"the services could not be put back: {error}")
 
@@ -201,6 +208,17 @@ def wait_until_ready(*, user: bool, deadline_s: float = START_S) -> None:
         time.sleep(0.2)
 
 
-def _base_python() -> str:
-    """The interpreter under the environment that runs us."""
-    return str(getattr(sys, "_base_executable", None) or sys.executable)
+def base_python(*, user: bool) -> str:
+    """The interpreter under the environment that runs us, or one like it that the services can reach.
+
+    Raises:
+        InstallError: there is only one in somebody's home, which services of the machine do not see.
+    """
+    own = str(getattr(sys, "_base_executable", None) or sys.executable)
+    if user or not own.startswith(("/home/", "/root/")):
+        return own
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    for place in ("/usr/local/bin", "/usr/bin"):
+        if Path(f"{place}/python{version}").exists():
+            return f"{place}/python{version}"
+    raise InstallError(f"services cannot use the Python in {own}: install python{version} for the machine")

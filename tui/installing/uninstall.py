@@ -58,6 +58,8 @@ def _keep_config(places: Places, data: Path, say: Callable[[str], None]) -> None
 def _remove_files(places: Places) -> None:
     for name in json.loads(places.manifest.read_text())["files"]:
         Path(name).unlink(missing_ok=True)
+    for drop_in in places.units.glob("sweepscope*.d"):  # made by 'systemctl edit'
+        shutil.rmtree(drop_in, ignore_errors=True)
     places.config.unlink(missing_ok=True)
     for folder in (places.config.parent, Path("/run/sweepscope") if not places.user else None):
         if folder is not None:

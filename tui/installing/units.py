@@ -18,6 +18,7 @@ _USER_KEYS = frozenset(
         "Restart",
         "RestartSec",
         "WatchdogSec",
+        "WatchdogSignal",
         "TimeoutStartSec",
         "TimeoutStopSec",
         "KillMode",
