@@ -28,7 +28,14 @@ def cli(context: click.Context, config_path: str | None, debug: bool) -> None:
     context.obj = Session(config_path, debug)
 
 
-for _command in (*services.COMMANDS, *rig.COMMANDS, *files.COMMANDS, *stage.COMMANDS, *tools.COMMANDS, *appliance.COMMANDS):
+for _command in (
+    *services.COMMANDS,
+    *rig.COMMANDS,
+    *files.COMMANDS,
+    *stage.COMMANDS,
+    *tools.COMMANDS,
+    *appliance.COMMANDS,
+):
     cli.add_command(_command)
 
 

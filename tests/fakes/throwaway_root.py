@@ -61,7 +61,7 @@ exec /lib/systemd/systemd --system --unit=bare.target --show-status=no --log-tar
 """
 
 
-class RootUnavailable(Exception):
+class RootUnavailableError(Exception):
     """This machine does not let us make such a root."""
 
 
@@ -85,7 +85,7 @@ class ThrowawayRoot:
             self.until(self._booted, "systemd comes up", 20)
         except AssertionError as error:
             self.__exit__()
-            raise RootUnavailable(str(error)) from None
+            raise RootUnavailableError(str(error)) from None
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import need
-from tests.fakes.throwaway_root import PACKAGES_INSIDE, SOURCE_INSIDE, RootUnavailable, ThrowawayRoot
+from tests.fakes.throwaway_root import PACKAGES_INSIDE, SOURCE_INSIDE, RootUnavailableError, ThrowawayRoot
 
 pytestmark = [pytest.mark.shares_processes, pytest.mark.slow, pytest.mark.timeout(300)]
 SERVICES = ("daemon", "writer", "worker", "viewer")
@@ -43,7 +43,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThrowawayRoot]:
         with ThrowawayRoot(folder) as made:
             prepare(made)
             yield made
-    except RootUnavailable as error:
+    except RootUnavailableError as error:
         pytest.skip(f"this machine allows no root of its own: {error}")
 
 
@@ -161,23 +161,23 @@ def status(root: ThrowawayRoot) -> dict[str, int]:
 
 
 def test_an_update_keeps_configuration_and_scans_and_switches_the_release(root: ThrowawayRoot) -> None:
-    scans, release = names(root, "/var/lib/sweepscope/scans"), os.readlink(root.path("/opt/sweepscope/current"))
+    scans, release = names(root, "/var/lib/sweepscope/scans"), root.path("/opt/sweepscope/current").readlink()
     install(root, "--no-start")
-    assert os.readlink(root.path("/opt/sweepscope/current")) != release
+    assert root.path("/opt/sweepscope/current").readlink() != release
     assert names(root, "/var/lib/sweepscope/scans") == scans
     assert root.path("/etc/sweepscope/rig.toml").read_text() == CONFIG
     assert {show(root, service, "ActiveState") for service in SERVICES} == {"active"}
 
 
 def test_a_failed_update_leaves_the_old_release_running(root: ThrowawayRoot) -> None:
-    release = os.readlink(root.path("/opt/sweepscope/current"))
+    release = root.path("/opt/sweepscope/current").readlink()
     pid = show(root, "daemon", "MainPID")
     rules = root.path("/etc/sweepscope/rig.toml")
     rules.write_text(CONFIG + "\n[camera_typo]\n")  # the new program refuses it before anything is switched
     said = install(root, check=False)
     rules.write_text(CONFIG)
     assert "as before" in said
-    assert os.readlink(root.path("/opt/sweepscope/current")) == release
+    assert root.path("/opt/sweepscope/current").readlink() == release
     assert show(root, "daemon", "MainPID") == pid
 
 
