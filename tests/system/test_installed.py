@@ -30,6 +30,8 @@ time_scale = 0.001
 port = 18980
 """
 SCAN = ("sweepscope", "scan", "--wait", "--json")
+LONG = ("--steps-per-frame", "1", "--last-steps", "4400")
+"""Takes many seconds even on a simulated rig without waits: it has to be caught in its middle."""
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +147,7 @@ def test_a_frozen_daemon_is_restarted_and_its_scan_goes_on(root: ThrowawayRoot) 
     root.run("systemctl", "daemon-reload")
     root.run("systemctl", "restart", "sweepscope-daemon.service")
     root.until(lambda: show(root, "daemon", "ActiveState") == "active", "the daemon is ready")
-    begun = json.loads(root.run("sweepscope", "scan", "--json", "--steps-per-frame", "1").stdout)
+    begun = json.loads(root.run("sweepscope", "scan", "--json", *LONG).stdout)
     pid = show(root, "daemon", "MainPID")
     root.until(lambda: status(root)["committed"] > 5, "frames are committed")
     root.run("kill", "-STOP", pid)
