@@ -9,6 +9,7 @@ import struct
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
 JOURNAL_SOCKET = Path("/run/systemd/journal/socket")
 SCAN_FIELD = "SWEEPSCOPE_SCAN_UID"
@@ -25,7 +26,7 @@ def follow_scan(scan_uid: str) -> None:
 def set_up(service: str, *, debug: bool = False, environ: Mapping[str, str] = os.environ) -> None:
     """Send log records to the journal if stderr is its stream, else to stderr with time and name."""
     handler: logging.Handler
-    if _stderr_is_journal(environ) and JOURNAL_SOCKET.exists():
+    if is_journal(sys.stderr, environ) and JOURNAL_SOCKET.exists():
         handler = JournalHandler(service, JOURNAL_SOCKET)
     else:
         handler = logging.StreamHandler()
@@ -42,10 +43,10 @@ def _add_scan(record: logging.LogRecord) -> bool:
     return True
 
 
-def _stderr_is_journal(environ: Mapping[str, str]) -> bool:
-    """True if stderr is the stream that systemd announced (and was not sent elsewhere since)."""
+def is_journal(stream: IO[str], environ: Mapping[str, str] = os.environ) -> bool:
+    """True if the stream is the one that systemd announced (and was not sent elsewhere since)."""
     try:
-        found = os.fstat(sys.stderr.fileno())
+        found = os.fstat(stream.fileno())
     except (OSError, ValueError, AttributeError):
         return False
     return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from types import FrameType
 
 from acquire.contract.clocks import MonotonicClock
 from acquire.contract.config import LoadedConfig
+from acquire.contract.logs import is_journal
 from acquire.contract.notify import Notifier
 from acquire.contract.places import lock_service, prepare_run_dir
 
@@ -136,7 +138,7 @@ def announce(url: str, run_dir: Path) -> None:
         file.write(f"{url}\n")
     temporary.replace(target)
     # what stands in the journal is read by more people than the file is
-    print(f"the address of the page is in {target}" if os.environ.get("JOURNAL_STREAM") else url, flush=True)
+    print(f"the address of the page is in {target}" if is_journal(sys.stdout) else url, flush=True)
 
 
 @contextlib.contextmanager

@@ -53,6 +53,9 @@ def test_a_record_that_the_journal_does_not_take_is_on_stderr(
     assert "still said" in capsys.readouterr().err
 
 
-def test_a_stderr_that_is_not_the_journals_stream_is_not_taken_for_it() -> None:
-    assert not logs._stderr_is_journal({"JOURNAL_STREAM": "1:1"})
-    assert not logs._stderr_is_journal({})
+def test_only_the_stream_that_systemd_announced_is_the_journal(tmp_path: Path) -> None:
+    with (tmp_path / "stream").open("w") as stream:
+        found = (tmp_path / "stream").stat()
+        assert logs.is_journal(stream, {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino}"})
+        assert not logs.is_journal(stream, {"JOURNAL_STREAM": "1:1"})
+        assert not logs.is_journal(stream, {})
