@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import appliance, files, rig, services, stage, tools
+from tui.commands import appliance, calibrate, files, rig, services, stage, tools
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -32,6 +32,7 @@ for _command in (
     *services.COMMANDS,
     *rig.COMMANDS,
     *files.COMMANDS,
+    *calibrate.COMMANDS,
     *stage.COMMANDS,
     *tools.COMMANDS,
     *appliance.COMMANDS,

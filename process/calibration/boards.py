@@ -1,0 +1,252 @@
+"""Owns finding a calibration pattern in a picture: chessboard, ChArUco or dots, whole or in part, to sub-pixel.
+
+Board coordinates are in mm about the middle of the pattern, turned so that the board's z points at the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.errors import CalibrationError
+
+from .grid_growth import best_block, grow
+from .saddles import refine_saddles, saddle_blocks
+
+F8 = NDArray[np.float64]
+MIN_CORNERS = 12
+"""Fewer corners than this say too little of a pose to be worth a view."""
+SEED_SIDES = (7, 4, 3)
+"""Sides of the small grid that is looked for where the whole pattern is not in the picture."""
+SEED_ATTEMPTS = 8
+MIN_ROW = 3
+"""Corners that make a border row of the grid believable."""
+SMALL_GRID = 200
+"""Corners up to which the exhaustive search is quick enough; larger grids are grown instead."""
+_SECTOR = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
+
+
+class BoardNotFoundError(CalibrationError):
+    """No usable pattern in a picture; the text says why."""
+
+
+@dataclass(frozen=True)
+class Board:
+    """The pattern."""
+
+    columns: int
+    """Squares (chessboard, ChArUco) or dots along the longer side."""
+    rows: int
+    pitch_mm: float
+    """Side of a square, or distance of two dots, in mm."""
+    kind: Literal["chessboard", "charuco", "dots"] = "chessboard"
+
+    @property
+    def grid(self) -> tuple[int, int]:
+        """Columns and rows of the points that are found: inner corners, or dots."""
+        return (self.columns, self.rows) if self.kind == "dots" else (self.columns - 1, self.rows - 1)
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Extent of the found points in mm."""
+        return (self.grid[0] - 1) * self.pitch_mm, (self.grid[1] - 1) * self.pitch_mm
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One view of the board."""
+
+    pixels: F8
+    """[n, 2], pixel centres at integers."""
+    board_mm: F8
+    """[n, 2] of the same points on the board; of a part of a chessboard the offset is arbitrary."""
+    whole: bool
+    """All points were found, so that the origin is the middle of the board."""
+    pitch_px: float
+    """Typical distance of neighbours in the picture."""
+    sector_pixels: F8 | None = None
+    """[n, 2] the same corners by the sector detector's own estimate: better on small, foreshortened squares."""
+
+    @property
+    def object_mm(self) -> F8:
+        """[n, 3] with z = 0."""
+        return np.column_stack([self.board_mm, np.zeros(len(self.board_mm))])
+
+
+def find_board(image: NDArray[np.generic], board: Board) -> Sighting:
+    """The board in a grey or RGB picture.
+
+    Raises:
+        BoardNotFoundError: nothing found, too little of it, or a board of another size.
+    """
+    grey = _grey8(image)
+    if board.kind == "charuco":
+        found = _charuco(grey, board)
+    elif board.kind == "dots":
+        found = _dots(grey, board)
+    else:
+        found = _chessboard(grey, board)
+    return _facing_camera(found)
+
+
+def _grey8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
+    grey = cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2GRAY) if image.ndim == 3 else np.asarray(image)
+    if grey.dtype == np.uint8:
+        return grey.astype(np.uint8)
+    values = grey.astype(np.float64)
+    return np.asarray(np.clip(values * (255.0 / max(values.max(), 1.0)), 0, 255).round(), dtype=np.uint8)
+
+
+def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
+    sector = _whole(grey, board)
+    grid = _largest(grey, board) if sector is None else grow(grey, sector, max(board.grid) + 2)
+    if grid is None:
+        raise BoardNotFoundError(
+            f"no chessboard found ({board.columns} x {board.rows} squares expected): is it sharp, lit and in the field?"
+        )
+    grid = _cropped(grid)
+    known = np.isfinite(grid[..., 0])
+    sizes = tuple(sorted(known.any(axis=axis).sum() for axis in (0, 1)))
+    wanted = tuple(sorted(board.grid))
+    if sizes[0] > wanted[0] or sizes[1] > wanted[1]:
+        raise BoardNotFoundError(
+            f"the board shows at least {sizes[1] + 1} x {sizes[0] + 1} squares, more than the "
+            f"{max(board.columns, board.rows)} x {min(board.columns, board.rows)} given: another board, or --squares"
+        )
+    if known.sum() < MIN_CORNERS:
+        raise BoardNotFoundError(f"only {known.sum()} corners are visible; at least {MIN_CORNERS} are needed")
+    return _sighting(grey, grid, board, sector)
+
+
+def _whole(grey: NDArray[np.uint8], board: Board) -> F8 | None:
+    """All corners [rows, columns, 2] by the sector detector, or None."""
+    small = board.grid[0] * board.grid[1] <= SMALL_GRID
+    for flags in (cv2.CALIB_CB_ACCURACY, _SECTOR)[: 2 if small else 1]:
+        found, corners = cv2.findChessboardCornersSB(grey, board.grid, flags=flags)
+        if found:
+            break
+    if not found:
+        return None
+    return np.asarray(corners, dtype=np.float64).reshape(board.grid[1], board.grid[0], 2)
+
+
+def _largest(grey: NDArray[np.uint8], board: Board) -> F8 | None:
+    """Corners [rows, columns, 2] with NaN, grown from the seed that gets furthest; None where there is no seed."""
+    limit = max(board.grid) + 2
+    best, most = None, 0
+    for attempt, seed in enumerate(_seeds(grey, board)):
+        grid = grow(grey, seed, limit)
+        count = int(np.isfinite(grid[..., 0]).sum())
+        if count > most:
+            best, most = grid, count
+        if most > 0.5 * board.grid[0] * board.grid[1] or (attempt >= SEED_ATTEMPTS and most >= MIN_CORNERS):
+            break
+    return best
+
+
+def _seeds(grey: NDArray[np.uint8], board: Board) -> Iterator[F8]:
+    """Small parts of the chessboard, [r, c, 2]; the detector's own guess last: it may skip rows."""
+    yield from saddle_blocks(grey)
+    for picture in (grey, cv2.createCLAHE(3.0, (6, 6)).apply(grey)):
+        for side in SEED_SIDES:
+            size = (min(side, board.grid[0]), min(side, board.grid[1]))
+            found, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, size, _SECTOR | cv2.CALIB_CB_LARGER)
+            if found:
+                yield best_block(np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2))
+
+
+def _cropped(grid: F8) -> F8:
+    """Without the empty surroundings, and without border rows of one or two corners: those may be strays."""
+    known = np.isfinite(grid[..., 0])
+    rows, columns = (np.flatnonzero(known.sum(axis=axis) >= MIN_ROW) for axis in (1, 0))
+    if not rows.size or not columns.size:
+        return grid[:0, :0]
+    return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None) -> Sighting:
+    if grid.shape[1] != board.grid[0] and grid.shape[:2] == board.grid:
+        grid = grid.transpose(1, 0, 2)
+    if sector is not None and sector.shape != grid.shape:
+        sector = None
+    if sector is not None:
+        grid = np.where(np.isfinite(grid), grid, sector)
+    known = np.isfinite(grid[..., 0])
+    row, column = np.nonzero(known)
+    pitch_px = grid_pitch_px(grid)
+    pixels = grid[known]
+    refined = refine_saddles(grey, pixels, pitch_px)
+    steady = np.linalg.norm(refined - pixels, axis=1) < max(0.15 * pitch_px, 1.0)
+    whole = grid.shape[:2] == board.grid[::-1] and bool(known.all())
+    middle = (np.array([grid.shape[1], grid.shape[0]]) - 1) / 2
+    mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
+    if sector is not None and not steady.all():
+        return Sighting(sector[known], mm, whole, pitch_px, sector[known])
+    others = None if sector is None else sector[known]
+    return Sighting(refined[steady], mm[steady], whole, pitch_px, others)
+
+
+def grid_pitch_px(grid: F8) -> float:
+    """Median distance of neighbouring points of [rows, columns, 2] in px (shorter direction; NaN points ignored)."""
+    across = np.linalg.norm(np.diff(grid, axis=1), axis=-1)
+    down = np.linalg.norm(np.diff(grid, axis=0), axis=-1)
+    return float(min(np.nanmedian(across), np.nanmedian(down)))
+
+
+def _charuco(grey: NDArray[np.uint8], board: Board) -> Sighting:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, 0.75 * board.pitch_mm, dictionary)
+    corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+    if marker_ids is None or not len(marker_ids):
+        raise BoardNotFoundError("no marker of the ChArUco board is readable: upside down (mirrored), or too blurred?")
+    if ids is None or len(ids) < MIN_CORNERS:
+        raise BoardNotFoundError(f"only {0 if ids is None else len(ids)} ChArUco corners; {MIN_CORNERS} are needed")
+    pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    index = np.asarray(ids).ravel()
+    column, row = index % board.grid[0], index // board.grid[0]
+    middle = (np.array(board.grid) - 1) / 2
+    mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
+    pitch_px = float(np.median(_nearest(pixels)))
+    # the origin is the board's own middle whatever part of it is seen: markers say which corner is which
+    return Sighting(pixels, mm, True, pitch_px)
+
+
+def _dots(grey: NDArray[np.uint8], board: Board) -> Sighting:
+    for picture in (grey, np.asarray(255 - grey, dtype=np.uint8)):
+        found, centres = cv2.findCirclesGrid(picture, board.grid, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
+        if found:
+            pixels = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
+            column, row = np.meshgrid(np.arange(board.grid[0]), np.arange(board.grid[1]))
+            middle = (np.array(board.grid) - 1) / 2
+            mm = (np.column_stack([column.ravel(), row.ravel()]) - middle) * board.pitch_mm
+            return Sighting(pixels, mm, True, float(np.median(_nearest(pixels))))
+    raise BoardNotFoundError(f"no grid of {board.columns} x {board.rows} dots found: all of it has to be in the field")
+
+
+def _nearest(points: F8) -> F8:
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(distance, np.inf)
+    nearest: F8 = distance.min(axis=1)
+    return nearest
+
+
+def _facing_camera(sighting: Sighting) -> Sighting:
+    """x to the right in the picture, y up, as near as the grid allows; so z = x cross y points at the camera."""
+    fit = np.linalg.lstsq(
+        np.column_stack([sighting.board_mm, np.ones(len(sighting.board_mm))]), sighting.pixels, rcond=None
+    )[0]
+    step_x, step_y = fit[0], fit[1]
+    mm = sighting.board_mm.copy()
+    if step_x[0] * step_y[1] - step_x[1] * step_y[0] > 0:
+        mm[:, 1] *= -1
+        step_y = -step_y
+    angles = np.arctan2(-step_x[1], step_x[0])
+    quarter = round(float(angles) / (np.pi / 2)) % 4
+    for _ in range(quarter):
+        mm = np.column_stack([-mm[:, 1], mm[:, 0]])
+    return replace(sighting, board_mm=mm)

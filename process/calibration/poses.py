@@ -1,0 +1,86 @@
+"""Owns the pose of a plane in one view: both that the picture allows, which fits, and whether they can be told apart.
+
+A plane seen from far away looks nearly the same tilted forth and back. Only perspective tells the two apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+F8 = NDArray[np.float64]
+SAME_POSE_DEG = 0.05
+"""Two refined poses within this angle are one."""
+TELL_APART = 25.0
+"""Least difference of the squared errors, in units of the noise's variance, for the better pose to be believed."""
+NOISE_FLOOR_PX = 0.02
+"""Corners are not better than this, so differences below it mean nothing."""
+_REFINE = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """X_cam = R X_board + T."""
+
+    rotation_vector: F8
+    """[3], Rodrigues."""
+    translation: F8
+    """[3] mm."""
+    rms_px: float
+    """Root mean square of the distance between seen and predicted corners."""
+    ambiguous: bool
+    """The mirrored pose explains the view nearly as well."""
+    mirrored_rms_px: float
+    """The same for the other pose; infinite where there is none."""
+
+    @property
+    def rotation(self) -> F8:
+        """[3, 3]."""
+        return np.asarray(cv2.Rodrigues(self.rotation_vector)[0], dtype=np.float64)
+
+    @property
+    def normal(self) -> F8:
+        """The plane's normal in camera coordinates, [3]."""
+        return self.rotation[:, 2]
+
+
+def project(object_mm: F8, rotation_vector: F8, translation: F8, matrix: F8, distortion: F8) -> F8:
+    """Pixels [n, 2] of board points [n, 3] (equation 1 and OpenCV's distortion)."""
+    pixels = cv2.projectPoints(object_mm, rotation_vector, translation, matrix, distortion)[0]
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+
+def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> Pose:
+    """The better of the two poses of a plane, refined, and whether the other can be excluded.
+
+    Args:
+        object_mm: [n, 3] with z = 0.
+        pixels: [n, 2].
+        matrix: K, [3, 3].
+        distortion: k1 k2 p1 p2 k3.
+    """
+    flat = cv2.undistortPoints(np.ascontiguousarray(pixels).reshape(-1, 1, 2), matrix, distortion).reshape(-1, 2)
+    _, turns, shifts, _ = cv2.solvePnPGeneric(object_mm, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    found = []
+    for first_turn, first_shift in zip(turns, shifts, strict=True):
+        refined = cv2.solvePnPRefineLM(
+            object_mm, pixels, matrix, distortion, first_turn.copy(), first_shift.copy(), _REFINE
+        )
+        turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in refined)
+        error = project(object_mm, turn, shift, matrix, distortion) - pixels
+        found.append((float(np.sqrt((error**2).sum(axis=1).mean())), turn, shift))
+    found.sort(key=lambda entry: entry[0])
+    best = found[0]
+    others = [other for other in found[1:] if _angle_deg(best[1], other[1]) > SAME_POSE_DEG]
+    other_rms = others[0][0] if others else float("inf")
+    noise = max(best[0], NOISE_FLOOR_PX) ** 2 / 2
+    ambiguous = len(pixels) * (other_rms**2 - best[0] ** 2) / noise < TELL_APART
+    return Pose(best[1], best[2], best[0], bool(ambiguous), other_rms)
+
+
+def _angle_deg(first: F8, second: F8) -> float:
+    between = cv2.Rodrigues(first)[0].T @ cv2.Rodrigues(second)[0]
+    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(between)[0])))
