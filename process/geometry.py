@@ -85,7 +85,8 @@ def _rays(camera: CameraModel, pixels: F8) -> Rays:
             pixels.reshape(-1, 1, 2), np.array(camera.K), np.array(camera.distortion), criteria=_UNDISTORT
         )
         normalised[:, :2] = found.reshape(-1, 2)
-    return Rays(-rotation.T @ np.array(camera.T), np.ascontiguousarray(normalised @ rotation))
+    directions = normalised @ (-rotation if camera.mirrored else rotation)
+    return Rays(-rotation.T @ np.array(camera.T), np.ascontiguousarray(directions))
 
 
 def plane_table(plane: LightPlane) -> PlaneTable:

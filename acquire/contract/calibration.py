@@ -31,6 +31,8 @@ class CameraModel(msgspec.Struct, frozen=True):
     T: Vector3
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1 k2 p1 p2 k3."""
+    mirrored: bool = False
+    """True: rays leave the pinhole backwards, -v. Left-handed worlds, as the original program's, need it."""
 
 
 class TranslatingPlane(msgspec.Struct, frozen=True, tag_field="kind", tag="translating"):

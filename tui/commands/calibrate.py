@@ -252,4 +252,28 @@ def reference_planes_command(
     print_json({"out": out, "light_plane": document["light_plane"]}) if as_json else click.echo(f"{words}\n{out}")
 
 
+@calibrate.command("import-original")
+@click.argument("calibration_txt", metavar="CALIBRATION.TXT", type=_path)
+@click.option("--projector", type=_path, help="projector.txt of the sequence; without it: the camera only.")
+@click.option("--size", default="1024x768", show_default=True, callback=_size, help="Size of the pictures.")
+@click.option("--out", type=_path, default=Path("calibration.json"), show_default=True)
+@_force
+@json_option
+def import_original(
+    calibration_txt: Path, projector: Path | None, size: tuple[int, int], out: Path, force: bool, as_json: bool
+) -> None:
+    """Convert files of the original program to calibration.json; points come out the same."""
+    from process.calibration.documents import new_document, write_document
+    from process.calibration.original import light_plane, read_calibration_txt, read_projector_txt
+
+    original = read_calibration_txt(calibration_txt)
+    plane_fields = None if projector is None else light_plane(original, read_projector_txt(projector))
+    document = new_document(original.camera(*size), plane_fields)
+    write_document(out, document, force=force)
+    if as_json:
+        print_json({"out": out, **document})
+        return
+    click.echo(f"{out}" if plane_fields else f"{out}: camera only; name projector.txt with --projector for the plane")
+
+
 COMMANDS: tuple[click.Command, ...] = (calibrate,)
