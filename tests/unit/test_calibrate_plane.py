@@ -14,6 +14,7 @@ from acquire.contract.errors import CalibrationError
 from acquire.contract.messages import FrameFormat
 from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import build_scene, ideal_calibration
+from process.calibration.check import rezeroed
 from process.calibration.documents import new_document, read_document, write_document
 from process.calibration.plane_sweep import Surface, fit_plane
 from process.calibration.reference_planes import fit_reference_planes, read_planes
@@ -154,6 +155,44 @@ def test_the_command_finds_the_light_plane_of_the_simulated_rig(sweeps):
     exact = -np.dot(truth["normal"], truth["corner_origin_mm"]) / np.dot(truth["normal"], truth["corner_velocity_mm"])
     assert abs(own - exact) < 25, "um of travel when the light passes the world's origin"
     assert "position_um" in out.read_text()
+
+
+def test_rezero_finds_by_how_much_the_stage_was_homed_elsewhere(sweeps):
+    folder, truth = sweeps
+    document = read_document(folder / "camera.json") | {"light_plane": truth}
+    write_document(folder / "ideal.json", document, force=True)
+    write_document(folder / "moved.json", rezeroed(document, -40.0), force=True)
+    shifts = []
+    for name in ("ideal", "moved"):
+        arguments = ["calibrate", "rezero", str(folder / "flat"), "--calibration", str(folder / f"{name}.json")]
+        arguments += [
+            "--squares",
+            "21x15",
+            "--square-mm",
+            "0.3",
+            "--out",
+            str(folder / "new.json"),
+            "--force",
+            "--json",
+        ]
+        run = CliRunner().invoke(cli, arguments, standalone_mode=False)
+        assert run.exception is None, run.exception
+        shifts.append(json.loads(run.output.splitlines()[-1])["shift_um"])
+    per_um = np.dot(truth["normal"], truth["corner_velocity_mm"]) * 1000
+    assert shifts[1] - shifts[0] == pytest.approx(40.0 * per_um, abs=0.05)
+
+
+def test_check_passes_the_exact_plane_and_fails_one_that_is_tilted(sweeps):
+    folder, truth = sweeps
+    tilted = dict(truth, normal=[0.55, 0.03, 0.83])
+    verdicts = []
+    for name, plane in (("exact", truth), ("tilted", tilted)):
+        document = read_document(folder / "camera.json") | {"light_plane": plane}
+        write_document(folder / f"{name}.json", document, force=True)
+        arguments = ["calibrate", "check", str(folder / "flat"), "--calibration", str(folder / f"{name}.json")]
+        arguments += ["--squares", "21x15", "--square-mm", "0.3", "--limit-um", "25"]
+        verdicts.append(CliRunner().invoke(cli, arguments, standalone_mode=False).return_value)
+    assert verdicts == [0, 1]
 
 
 def test_a_sweep_that_never_reaches_the_board_is_named(tmp_path):
