@@ -155,6 +155,9 @@ def test_the_command_finds_the_light_plane_of_the_simulated_rig(sweeps):
     exact = -np.dot(truth["normal"], truth["corner_origin_mm"]) / np.dot(truth["normal"], truth["corner_velocity_mm"])
     assert abs(own - exact) < 25, "um of travel when the light passes the world's origin"
     assert "position_um" in out.read_text()
+    page = (folder / "calibration-plane.html").read_text()
+    assert "data:image/png;base64," in page
+    assert "http" not in page
 
 
 def test_rezero_finds_by_how_much_the_stage_was_homed_elsewhere(sweeps):

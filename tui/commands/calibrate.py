@@ -97,15 +97,18 @@ def camera(
     IMAGES are files or folders. Views that hurt are left out, with the reason."""
     from process.calibration.camera import calibrate_camera
     from process.calibration.documents import new_document, write_document
+    from process.calibration.pages import camera_page, write_page
 
     name = Path(stage).name if stage else None
     result = calibrate_camera(read_pictures(images), _board(squares, square_mm, kind), name)
     document = new_document(result.document())
     write_document(out, document, force=force)
+    page = out.with_name(f"{out.stem}-camera.html")
+    write_page(page, camera_page(result, camera_words(result)))
     if as_json:
-        print_json({"out": out, "camera": document["camera"]})
+        print_json({"out": out, "report": page, "camera": document["camera"]})
         return
-    click.echo("\n".join([*camera_words(result), str(out)]))
+    click.echo("\n".join([*camera_words(result), str(out), str(page)]))
 
 
 def camera_words(result: CameraResult) -> list[str]:
@@ -165,6 +168,7 @@ def plane(
     1 um fails; --force writes the calibration all the same."""
     from acquire.contract.calibration import load_calibration
     from process.calibration.documents import read_document, write_document
+    from process.calibration.pages import plane_page, write_page
     from process.calibration.plane_sweep import board_surface, fit_plane, flat_surface
     from process.calibration.sweeps import fold_sweep
 
@@ -179,8 +183,10 @@ def plane(
     document = read_document(camera_file)
     document["light_plane"] = result.document()
     document["valid_for"] = result.validity(days)
+    page = out.with_name(f"{out.stem}-plane.html")
+    write_page(page, plane_page(result, plane_words(result)))
     if not as_json:
-        click.echo("\n".join(plane_words(result)))
+        click.echo("\n".join([*plane_words(result), str(page)]))
     if not result.ok and not force:
         bad = next(surface for surface in result.surfaces if not surface.ok)
         raise CalibrationError(f"failed, nothing was written: {bad.name}: {bad.cause} (--force writes it all the same)")
