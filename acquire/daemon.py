@@ -63,7 +63,7 @@ class Daemon:
         self.lane = FrameLane(bind(self._context, zmq.ROUTER, run_dir, "frames"))
         self.live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
         self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
-        self._commands = Sender(bind(self._context, zmq.ROUTER, run_dir, "command"))
+        self._run_dir = run_dir
         self._desk = Desk(self)
         self._replies: OrderedDict[str, Reply] = OrderedDict()
         self._status_due_ns = 0
@@ -83,6 +83,8 @@ class Daemon:
             CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
         )
         self.stage_info = self.rig.stage.open(self._inbox.put)
+        # who finds this lane finds a rig that answers: nothing said to it waits for devices to open
+        self._commands = Sender(bind(self._context, zmq.ROUTER, self._run_dir, "command"))
         self.enter(State.IDLE)
         self.say(f"ready: {self.stage_info.kind} stage, {self.camera_info.kind} camera")
 

@@ -67,9 +67,14 @@ def assert_live_equals_reconstruct(folder, tmp_path):
 
 
 def results_of(appliance, folder):
-    report = Path(folder) / "report.json"
-    appliance.until(lambda: report.exists() and json.loads(report.read_text())["outcome"] == "complete", "the report")
-    return json.loads(report.read_text())
+    """The final report: the outcome is known, and the comparison with the truth is made."""
+    path = Path(folder) / "report.json"
+
+    def final():
+        report = json.loads(path.read_text()) if path.exists() else {}
+        return report if report.get("outcome") == "complete" and report.get("truth") else None
+
+    return appliance.until(final, "the final report")
 
 
 def test_an_undisturbed_sweep_is_complete_exact_and_folded_live(appliance, expected_frames, tmp_path):
