@@ -36,6 +36,7 @@ from .scan_file import ScanFile, ScanIncompleteError
 from .window import ranges_of
 
 State = Literal["in use", "no scan", "unreadable", "interrupted", "sealed"]
+NOTHING_IN_IT = "the sweep ended before its first frame: there is nothing to resume"
 _NO_SCAN = frozenset({OWNER_LOCK_NAME, TRUTH_NAME})
 
 
@@ -186,11 +187,14 @@ def _partial_scan(scan: ScanFile, folder: Path, owner: str, options: RecoverOpti
     scan.sync()
     if ended_as in SEALED_OUTCOMES:
         reason = _seal_again(scan, Outcome(ended_as))
+    elif not scan.committed_count and not damaged:
+        reason = NOTHING_IN_IT
+        scan.seal(Outcome.ABORTED, reason)
     elif options.seal:
         complete = not scan.missing_ranges()
         reason = "closed by recover after an interruption" + ("; the checks after the sweep were not made" * complete)
         scan.seal(Outcome.COMPLETE if complete else Outcome.ABORTED, reason)
-    freed = _compact(scan.path) if options.compact and scan.sealed else 0
+    freed = _compact(scan.path) if scan.sealed and (options.compact or reason == NOTHING_IN_IT) else 0
     state: State = "sealed" if scan.sealed else "interrupted"
     return Recovered(folder, state, scan.outcome, scan.committed_count, scan.count, damaged, freed, reason)
 

@@ -17,6 +17,7 @@ from acquire.contract.states import Outcome
 
 from .disk import DiskError, disk_error, file_system_of
 from .disk_thread import DiskThread
+from .recover import NOTHING_IN_IT
 from .scan_file import ScanExistsError, ScanFile, ScanIncompleteError, Seal, create_scan
 from .scan_store import FrameRefusedError
 
@@ -104,7 +105,9 @@ class ScanSession:
             return
         try:
             # somebody else may have closed it for good meanwhile
-            if scan.path.exists():
+            if scan.path.exists() and not scan.committed_count:
+                scan.seal(Outcome.ABORTED, NOTHING_IN_IT)
+            elif scan.path.exists():
                 scan.mark_outcome(
                     Outcome.INTERRUPTED, "F01 nobody owns the sweep any more: its daemon ended, or let go of it"
                 )
@@ -112,7 +115,7 @@ class ScanSession:
                     "nobody owns the sweep any more: %d of %d frames are in %s", scan.prefix, scan.count, scan.path
                 )
             self.leave()
-        except DiskError as error:
+        except ScanFileError as error:
             logger.error("%s", error)
         finally:
             lock.release()

@@ -173,6 +173,13 @@ def test_at_start_up_only_scans_that_call_themselves_running_are_read(tmp_path: 
     assert list(recover(tmp_path, RecoverOptions(begun_only=True))) == []
 
 
+def test_a_sweep_that_died_before_its_first_frame_is_closed_and_gives_its_space_back(tmp_path: Path) -> None:
+    begin(tmp_path / "a", 0, count=200).close()
+    found = one(tmp_path)
+    assert (found.state, found.outcome, found.committed) == ("sealed", "aborted", 0)
+    assert found.freed_bytes > 150 * 64 * 48 and "nothing to resume" in found.words()
+
+
 def killed_at(call: int, work: Callable[[], None]) -> bool:
     """Run ``work`` in a process that dies by SIGKILL at its n-th call into the disk; True if it died."""
     pid = os.fork()
