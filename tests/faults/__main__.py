@@ -77,7 +77,9 @@ def _table(accounts: dict[str, Account], options: argparse.Namespace) -> list[st
     ]
     for code, row in FAULTS.items():
         if code in FIRMWARE_ROWS:
-            lines.append(f"| {code} | {row.happened} | on the emulated firmware: `tests/firmware` | | | | |")
+            lines.append(
+                f"| {code} | {row.happened} | on the emulated firmware: `tests/firmware/test_faults.py` | | | | |"
+            )
         elif code in accounts:
             one = accounts[code]
             lost = one.points - one.held

@@ -19,6 +19,9 @@ def test_the_promise_holds_under(fault):
 
 def test_every_row_of_the_table_has_its_place():
     assert {*ROWS, *FIRMWARE_ROWS} == set(FAULTS)
+    on_the_emulator = (Path(__file__).parents[1] / "firmware/test_faults.py").read_text()
+    for code in FIRMWARE_ROWS:
+        assert f"def test_{code.lower()}_" in on_the_emulator
 
 
 def test_the_texts_of_the_manual_are_those_of_the_console():
