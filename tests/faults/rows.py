@@ -345,7 +345,10 @@ def clock_jumps(rig: Rig) -> None:
         rig.flag.touch()
         rig.told(client, "F22")
         rig.flag.unlink()
-        _complete(rig, client, scan)
+        status = _complete(rig, client, scan)
+    faults = rig.seen[scan["scan_uid"]].faults
+    assert "3600" not in faults.get("F02", ""), "the jump was taken for a freeze"
+    assert not {"F12", "F16"} & set(faults) and status.counters["lost"] == 0, "a time-out fired"
     with ScanReader(Path(scan["path"])) as reader:
         assert np.all(np.diff(reader.field("exposure_start_ns")) > 0)
 
