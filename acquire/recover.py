@@ -36,7 +36,7 @@ from .scan_file import ScanFile, ScanIncompleteError
 from .window import ranges_of
 
 State = Literal["in use", "no scan", "unreadable", "interrupted", "sealed"]
-NOTHING_IN_IT = "the sweep ended before its first frame: there is nothing to resume"
+NOTHING_IN_IT = "no frame is in it: there is nothing to resume"
 _NO_SCAN = frozenset({OWNER_LOCK_NAME, TRUTH_NAME})
 
 
