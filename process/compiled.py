@@ -21,6 +21,10 @@ SOURCES = (
     "quality",
     "crossing_kernels",
     "colour",
+    "estimates/edge_kernels",
+    "estimates/block_kernels",
+    "estimates/noise",
+    "estimates/filters",
 )
 """Modules of this package whose code or constants end up in kernels."""
 

@@ -1,10 +1,11 @@
-"""Own the per-pixel arithmetic of crossings: samples from columns, the linear estimate, sigma and quality.
+"""Own the per-pixel arithmetic of crossings: samples from columns, the estimates from two of them, sigma, quality.
 
 Everything is in the folded signal (the complement for falling edges) and in float64, in the written order.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -91,13 +92,45 @@ def _edge_quality(width, crossing, from_last_maximum, still_bright, first, last)
     return bits
 
 
+@inlined_kernel
+def _normal_density(z):
+    return math.exp(-0.5 * z * z) / GAUSS
+
+
 @kernel
-def estimate_linear(selected, samples, present, noise, crossing, sigma, quality):
-    """Linear crossing (frame index), sigma (frames) and quality of the selected pixels.
+def normal_quantile(p):
+    """Inverse of the cumulative normal distribution, 0 < p < 1: Halley's steps from the logistic one."""
+    z = math.log(p / (1.0 - p)) / 1.702
+    for _ in range(4):
+        off = (0.5 * math.erfc(-z / math.sqrt(2.0)) - p) / _normal_density(z)
+        z -= off / (1.0 + 0.5 * z * off)
+    return z
+
+
+@kernel
+def probit_fraction(base, level, low, high):
+    """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 1) / noise.
+
+    Shares of the range are kept half a level away from 0 and 1, where the quantile has no end.
+    """
+    span = high - low + 1.0
+    least = 0.5 / span
+    z0 = normal_quantile(min(max((base - low + 0.5) / span, least), 1.0 - least))
+    z1 = normal_quantile(min(max((level - low + 0.5) / span, least), 1.0 - least))
+    if z1 <= z0:
+        return 0.5, span
+    steep = (z1 - z0) * (z1 - z0)
+    scatter = np.hypot(z1 / _normal_density(z0), z0 / _normal_density(z1)) / steep
+    return min(max(-z0 / (z1 - z0), 0.0), 1.0), scatter
+
+
+@kernel
+def estimate_crossings(selected, samples, present, noise, probit, crossing, sigma, quality):
+    """Crossing (frame index) from two samples, sigma (frames) and quality of the selected pixels.
 
     selected: flat indices into samples and the outputs. present: frame index of each folded frame.
-    noise: standard deviation in levels. Outputs are changed only at selected pixels; a pixel whose
-    crossing is UNKNOWN is left alone.
+    noise: standard deviation in levels. probit: interpolate in the inverse normal of the range's share, not
+    in the levels. Outputs are changed only at selected pixels; a pixel whose crossing is UNKNOWN is left alone.
     """
     first, last = present[0], present[present.size - 1]
     for index in range(selected.size):
@@ -117,8 +150,11 @@ def estimate_linear(selected, samples, present, noise, crossing, sigma, quality)
         span = np.float64(after - before)
         time = before + span * (half - base) / step
         fraction = (half - base) / step
-        crossing[pixel] = time
-        sigma[pixel] = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
+        scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
+        if probit:
+            fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
+            time, scatter = before + span * fraction, scatter * span * noise / (high - low + 1.0)
+        crossing[pixel], sigma[pixel] = time, scatter
         width = np.float64(high - low) / (GAUSS * step / span)
         behind = np.float64(last - present[samples.last_ordinal[pixel]])
         still_bright = 2 * np.int64(samples.tail_dip[pixel]) >= total

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from process.crossing_kernels import Samples, estimate_linear, sample_columns
+from process.crossing_kernels import Samples, estimate_crossings, sample_columns
 from process.quality import Quality
 from process.tiles import UNKNOWN
 
@@ -85,6 +85,14 @@ def contrast_mask(
     if median > 1:
         mask = np.asarray(cv2.medianBlur(mask, median), dtype=np.uint8).reshape(mask.shape)
     return mask
+
+
+class _How(NamedTuple):
+    """What the kernel is told beside the samples."""
+
+    noise: float
+    """Standard deviation in levels."""
+    probit: bool
 
 
 class _Estimates(NamedTuple):
@@ -159,7 +167,7 @@ def empty_samples(pixels: int) -> Samples:
 
 
 def _resolve(
-    read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folded, noise: float, out: _Estimates
+    read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folded, how: _How, out: _Estimates
 ) -> None:
     """Two passes over the sequence of the flagged pixels, in bounded pieces."""
     size = max(1, COLUMN_BYTES // (folded.minimum.dtype.itemsize * len(folded.present)))
@@ -169,42 +177,50 @@ def _resolve(
         sample_columns(_columns(read_columns, pixels, folded), samples)
         _check_same(folded.samples, samples, pixels)
         part = _Estimates.empty(len(pixels))
-        estimate_linear(np.arange(len(pixels)), samples, folded.present, noise, *part)
+        estimate_crossings(np.arange(len(pixels)), samples, folded.present, *how, *part)
         out.crossing[pixels] = part.crossing
         out.sigma[pixels] = part.sigma
         out.quality[pixels] |= part.quality | np.uint16(Quality.FROM_FILE)
 
 
-def _counts(mask: NDArray[np.uint8], out: _Estimates, flagged: int, resolved: bool) -> dict[str, int]:
-    by_value = np.bincount(out.quality, minlength=256)
+def quality_counts(
+    mask: NDArray[np.uint8], crossing: NDArray[np.float64], quality: NDArray[np.uint16]
+) -> dict[str, int]:
+    """over_contrast, past_s_in_first, crossings, and one per quality bit; arrays of one shape."""
+    by_value = np.bincount(quality.ravel(), minlength=256)
     values = np.arange(len(by_value))
     bits = {bit.name.lower(): int(by_value[(values & bit) != 0].sum()) for bit in Quality if bit.name}
     return {
         "over_contrast": int(np.count_nonzero(mask)),
         "past_s_in_first": bits["lit_at_start"],
-        "crossings": int(np.count_nonzero(~np.isnan(out.crossing))),
-        "flagged": flagged,
-        "unresolved": 0 if resolved else flagged,
+        "crossings": int(np.count_nonzero(~np.isnan(crossing))),
         **bits,
     }
 
 
-def make_maps(folded: Folded, noise_counts: float, colour: NDArray[np.uint8], read_columns: ReadColumns | None) -> Maps:
+def make_maps(
+    folded: Folded,
+    noise_counts: float,
+    colour: NDArray[np.uint8],
+    read_columns: ReadColumns | None,
+    *,
+    probit: bool = False,
+) -> Maps:
     """Maps of what was folded, by DESIGN section 4; colour is taken over as it is.
 
     noise_counts: standard deviation of the noise, in counts of 8 bit. Raises ScanFileError where the
     file contradicts the fold.
     """
     shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
-    noise = noise_counts * 2.0 ** (folded.bit_depth - 8)
+    how = _How(noise_counts * 2.0 ** (folded.bit_depth - 8), probit)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask)
-    estimate_linear(selected, samples, folded.present, noise, *out)
+    estimate_crossings(selected, samples, folded.present, *how, *out)
     unknown = selected[samples.ordinal[selected] == UNKNOWN]
     flagged = unknown[(out.quality[unknown] & np.uint16(Quality.LIT_AT_START)) == 0]
     if read_columns is not None:
-        _resolve(read_columns, flagged, folded, noise, out)
+        _resolve(read_columns, flagged, folded, how, out)
     return Maps(
         minimum=folded.minimum,
         maximum=folded.maximum,
@@ -214,5 +230,6 @@ def make_maps(folded: Folded, noise_counts: float, colour: NDArray[np.uint8], re
         quality=out.quality.reshape(shape),
         colour=colour,
         last_record=folded.present[samples.last_ordinal].astype(np.int32).reshape(shape),
-        counts=_counts(mask, out, len(flagged), read_columns is not None),
+        counts=quality_counts(mask, out.crossing, out.quality)
+        | {"flagged": len(flagged), "unresolved": 0 if read_columns is not None else len(flagged)},
     )

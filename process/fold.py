@@ -195,7 +195,7 @@ class Fold:
         *,
         contrast: int,
         median: int,
-        method: Literal["linear"] = "linear",
+        method: Literal["linear", "probit"] = "linear",
         noise_counts: float,
         read_columns: ReadColumns | None,
     ) -> Maps:
@@ -206,8 +206,8 @@ class Fold:
         NaN and are counted as unresolved. Raises ValueError before the first frame and for bad values,
         ScanFileError where the file contradicts what was folded.
         """
-        if method != "linear":
-            raise ValueError(f"the method is linear, not {method!r}")
+        if method not in ("linear", "probit"):
+            raise ValueError(f"from two samples the method is linear or probit, not {method!r}")
         if not self._present:
             raise ValueError("nothing was folded yet")
         self._flush()
@@ -223,7 +223,7 @@ class Fold:
         samples = self._samples(lowest.ravel(), highest.ravel(), mask)
         folded = Folded(low, high, mask, samples, self.present, self._edge, self._bit_depth)
         colour = self._colour.copy() if self._colour else self._grey_colour(high)
-        return make_maps(folded, noise_counts, colour, read_columns)
+        return make_maps(folded, noise_counts, colour, read_columns, probit=method == "probit")
 
     def _plane(self, plane: int) -> NDArray[Any]:
         return self._state[:, plane].copy().reshape(-1)[: self._pixels]

@@ -110,6 +110,28 @@ class ScanFrames:
         return found
 
 
+    def rows(self, frames: NDArray[np.int64], first: int, count: int) -> NDArray[Any]:
+        """Grey values of ``count`` rows from ``first`` on in all ``frames``: [len(frames), count, w], read-only use.
+
+        The same values as those of the whole frames: Bayer is read with the rows around it.
+        """
+        form = self.layout.format
+        bayer = form.pixel_format in _DEMOSAIC
+        begin = max(first - first % 2 - 2, 0) if bayer else first
+        end = min(first + count + 3, form.height) if bayer else first + count
+        stored = np.empty((len(frames), end - begin, *form.shape[1:]), np.dtype(form.dtype))
+        for place, frame_index in enumerate(frames):
+            self._reader.read_rows(int(frame_index), begin, stored[place])
+        if not bayer:
+            pile = stored.reshape(-1, *form.shape[1:])
+            return to_grey(pile, form.bit_depth).reshape(len(frames), count, form.width)
+        grey = np.empty((len(frames), count, form.width), stored.dtype)
+        inside = slice(first - begin, first - begin + count)
+        for place, image in enumerate(stored):
+            grey[place] = to_grey(displayed(image, form.pixel_format), form.bit_depth)[inside]
+        return grey
+
+
 def _open(scan: Path) -> ScanReader:
     """A reader; the writer may give the file its last name between two looks at it."""
     try:

@@ -21,6 +21,8 @@ from acquire.contract.states import SEALED_OUTCOMES
 from .cloud import Cloud, make_cloud, write_ply
 from .crossings import Maps
 from .cursor import CursorCounts, FoldCursor
+from .estimates.filters import filtered
+from .estimates.refine import Sequence, refine
 from .fold import Fold
 from .frames import ScanFrames
 from .geometry import coordinates, plane_table, rays
@@ -171,7 +173,7 @@ def write_results(
 
 
 def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Maps:
-    """The maps of all frames folded; pixels that the fold no longer knows are read from the file.
+    """The maps of all frames folded, by the method of the settings; what the fold does not know is in the file.
 
     Raises:
         ScanFileError: nothing was folded, or the file contradicts what was.
@@ -179,13 +181,18 @@ def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Ma
     if not cursor.folded.any():
         raise ScanFileError(f"{frames.layout.path} holds no frame that can be used: there is nothing to reconstruct")
     present = cursor.fold.present
-    return cursor.fold.result(
+    maps = cursor.fold.result(
         contrast=settings.contrast,
         median=settings.median,
-        method=settings.method,
+        method=settings.live_method,
         noise_counts=settings.noise_counts,
         read_columns=lambda pixels: (present, frames.columns(present, pixels)),
     )
+    if settings.method == "linear":
+        return maps  # the paper's estimate, as it is: neither filtered nor weighed
+    form = frames.layout.format
+    sequence = Sequence(lambda first, count: frames.rows(present, first, count), present, settings.edge, form.bit_depth)
+    return filtered(refine(maps, settings.method, sequence, settings.noise_counts).maps)
 
 
 def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Results | None:

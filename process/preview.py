@@ -44,7 +44,7 @@ def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np
     maps = cursor.fold.result(
         contrast=settings.contrast,
         median=settings.median,
-        method=settings.method,
+        method=settings.live_method,
         noise_counts=settings.noise_counts,
         read_columns=None,
     )

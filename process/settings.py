@@ -24,6 +24,7 @@ from acquire.contract.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
 
 Edge = Literal["rising", "falling"]
+Method = Literal["linear", "probit", "fit", "auto"]
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,16 @@ class Settings:
     """Least brightness range in counts of 8 bit."""
     median: int
     edge: Edge
-    method: Literal["linear"]
+    method: Method
     noise_counts: float
     """Standard deviation of a pixel's noise in counts of 8 bit."""
     calibration: Calibration | None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def live_method(self) -> Literal["linear", "probit"]:
+        """Estimate of the points while the sweep runs: from two samples, which the fold holds."""
+        return "linear" if self.method == "linear" else "probit"
 
     @property
     def light_plane(self) -> TranslatingPlane | PerFramePlanes | None:
@@ -99,6 +105,11 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
     values |= _recorded_values(recorded.config_toml)
     values |= {key: value for key in _FLAGS if (value := getattr(options, key)) is not None}
     checked = _checked(values)
+    if plane and plane.method != checked.method:
+        warnings.append(
+            f"the light plane was calibrated with the estimate {plane.method}, the points are made with "
+            f"{checked.method}: calibrate with the same one, or reconstruct with --method {plane.method}"
+        )
     return Settings(
         contrast=checked.contrast,
         median=checked.median,
@@ -110,7 +121,7 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
     )
 
 
-METHODS = ("linear",)
+METHODS = ("linear", "probit", "fit", "auto")
 _FLAGS = ("contrast", "median", "method")
 
 

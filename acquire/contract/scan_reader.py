@@ -278,6 +278,25 @@ class ScanReader:
         raw = self._read(self.layout.frame_offset(frame_index), self.layout.frame_nbytes)
         return np.frombuffer(raw, dtype=self.layout.format.dtype).reshape(self.layout.format.shape)
 
+    def read_rows(self, frame_index: int, first_row: int, out: NDArray[Any]) -> None:
+        """Fill ``out`` ([rows, w] or [rows, w, 3], contiguous) with rows of a stored frame from ``first_row`` on.
+
+        Raises:
+            IndexError: no such frame or rows.
+            ScanFileError: the file was cut short.
+        """
+        form = self.layout.format
+        if not (0 <= frame_index < self.count and 0 <= first_row <= form.height - len(out)):
+            raise IndexError(f"rows {first_row} to {first_row + len(out) - 1} of frame {frame_index} of {self.count}")
+        offset = self.layout.frame_offset(frame_index) + first_row * (form.nbytes // form.height)
+        target = memoryview(out).cast("B")
+        read = 0
+        while read < len(target):
+            more = os.preadv(self._fd, [target[read:]], offset + read)
+            if more == 0:
+                raise ScanFileError(f"{self.layout.path} ends at byte {offset + read}: it was cut short")
+            read += more
+
     def frames(self, first: int = 0, last: int | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Present frames from ``first`` through ``last`` (both included) in order, with their index."""
         present = self.present()

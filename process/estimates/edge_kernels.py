@@ -1,0 +1,319 @@
+"""Own the arithmetic of one edge: where it starts from, and the weighted fit of an erf edge with its covariance.
+
+The model of a pixel's samples is low + height Phi((t - crossing) / width), t in frames, in the folded signal,
+with the variance noise[0] + noise[1] x level. Everything is float64, in the written order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from process.compiled import inlined_kernel, kernel
+
+ROOT_PI = 1.7724538509055159
+ROOT_2_PI = 2.5066282746310002
+LOOSE_LOG_WIDTH, TIGHT_LOG_WIDTH = 0.7, 0.2
+"""Standard deviation of the width's logarithm about a pixel's own guess; about the scan's, where an edge is sharp."""
+LEAST_HALF = 3
+"""Frames to each side that are looked at first: a pulse of light may be no longer than a few frames."""
+SHARP = 1.0
+"""Frames; an edge whose guessed width is less has too few samples to tell it: the scan's sharp edges together do."""
+LEAST_WIDTH, LEAST_VARIANCE = 0.15, 1.0 / 12.0
+"""Frames; levels squared (rounding alone)."""
+REACH_WIDTHS, LEAST_REACH = 10.0, 6
+"""Half length of the fit's window in widths of the edge, and at least in frames."""
+INNER_WIDTHS = 5.5
+"""Beyond so many widths, and two frames, a sample counts as plateau: the model differs from it by 2e-8."""
+PATIENCE = 12
+"""Steps of the fit; two to four suffice where there is an edge."""
+SETTLED = 0.01
+"""The last step of a fit gained less chi squared: what is left is a small part of a standard deviation."""
+OUTLIER = 4.0
+"""Residuals beyond so many standard deviations are weighted down (Huber)."""
+
+
+_PER_UNIT, _FAR = 32, 9
+_GRID = np.arange(-_FAR * _PER_UNIT, _FAR * _PER_UNIT + 1) / _PER_UNIT
+_CDF = np.array([0.5 * math.erfc(-0.7071067811865476 * z) for z in _GRID])
+_DENSITY = np.exp(-0.5 * _GRID * _GRID) / ROOT_2_PI
+# Taylor's series about the nearest of the grid's points; off by less than 2e-9, several times as fast as erfc
+
+
+@inlined_kernel
+def normal_cdf_and_density(z):
+    """Cumulative normal distribution and its density, to 2e-9."""
+    bounded = min(max(z, -float(_FAR)), float(_FAR))
+    index = int(bounded * _PER_UNIT + (_FAR * _PER_UNIT + 0.5))
+    at = _GRID[index]
+    d = bounded - at
+    density = _DENSITY[index]
+    second = at * at - 1.0
+    third = (at * at - 3.0) * at
+    cdf = _CDF[index] + density * d * (1.0 - d * (at / 2.0 - d * (second / 6.0 - d * third / 24.0)))
+    return cdf, density * (1.0 - d * (at - d * (second / 2.0 - d * third / 6.0)))
+
+
+@kernel
+def guess_edge(samples, start, half, spread, guess):
+    """Levels, place and width of an edge near a sample, from sums: guess = low, height, place (ordinal), width.
+
+    samples [frames]; start: where to look; half: samples to each side; spread: variance of the noise.
+    The outer halves of the window are taken for plateaus. Phi (1 - Phi) adds up to width / sqrt(pi),
+    and the lit part of the window to the distance from the crossing to its end. False: no edge in it.
+    """
+    left, right = max(0, start - half), min(samples.size - 1, start + half)
+    before, after = max(1, (start - left + 1) // 2), max(1, (right - start + 1) // 2)
+    low = samples[left : left + before].mean()
+    height = samples[right + 1 - after : right + 1].mean() - low
+    if height <= 0.0:
+        return False
+    lit, partly = 0.0, 0.0
+    for k in range(left, right + 1):
+        share = (samples[k] - low) / height
+        lit += share
+        partly += share * (1.0 - share)
+    partly += (right + 1 - left) * spread / (height * height)
+    guess[0], guess[1] = low, height
+    guess[2] = min(max(right + 0.5 - lit, float(left)), float(right))
+    guess[3] = max(ROOT_PI * partly, LEAST_WIDTH)
+    return True
+
+
+@kernel
+def find_edge(samples, start, range_seen, spread, guess):
+    """The smallest window about `start` whose plateaus are flat leads to the guess; False: there is none."""
+    half = LEAST_HALF
+    found = False
+    while True:
+        if guess_edge(samples, start, half, spread, guess):
+            found = guess[3] <= half / 6.0 and guess[1] >= 0.5 * range_seen
+        if found or half >= samples.size:
+            break
+        half *= 2
+    if not found:
+        return False
+    again = np.empty(4)
+    half = max(LEAST_HALF, int(math.ceil(6.0 * guess[3])))
+    if guess_edge(samples, int(guess[2] + 0.5), half, spread, again) and again[1] >= 0.5 * range_seen:
+        guess[:] = again
+    return True
+
+
+@kernel
+def sharp_samples(samples, start):
+    """Number of samples between 10 and 90 % of an edge before `start`; -1: too near an end, or no flat levels."""
+    if start < 5 or start + 4 > samples.size:
+        return -1
+    low = 0.5 * (samples[start - 4] + samples[start - 3])
+    height = 0.5 * (samples[start + 2] + samples[start + 3]) - low
+    if height <= 0.0:
+        return -1
+    count = 0
+    for k in range(start - 2, start + 2):
+        share = (samples[k] - low) / height
+        if 0.1 < share < 0.9:
+            count += 1
+    return count
+
+
+@kernel
+def flat_end(samples, begin, step, count, level, tolerance):
+    """Samples from `begin` in steps of +-1 until two in a row leave the level, at most `count`."""
+    beside = 0
+    for k in range(count):
+        index = begin + step * k
+        if index < 0 or index >= samples.size:
+            return k
+        beside = beside + 1 if abs(samples[index] - level) > tolerance else 0
+        if beside == 2:
+            return max(k - 3, 0)
+    return count
+
+
+@kernel
+def window_of(samples, guess, noise, bounds):
+    """Bounds of the fit: bounds = first, first inner, last inner, last ordinal; plateaus end where they change."""
+    low, height, place, width = guess[0], guess[1], guess[2], guess[3]
+    inner = int(math.ceil(INNER_WIDTHS * width)) + 2
+    reach = max(LEAST_REACH, int(math.ceil(REACH_WIDTHS * width)))
+    middle = int(math.floor(place))
+    last = samples.size - 1
+    dark = 5.0 * math.sqrt(max(noise[0] + noise[1] * low, LEAST_VARIANCE))
+    bright = 5.0 * math.sqrt(max(noise[0] + noise[1] * (low + height), LEAST_VARIANCE))
+    near = int(math.ceil(3.0 * width)) + 1
+    outer = max(reach - near, 0)
+    bounds[0] = middle - near - flat_end(samples, middle - near, -1, outer, low, max(dark, 0.1 * height))
+    bounds[3] = middle + 1 + near + flat_end(samples, middle + 1 + near, 1, outer, low + height, max(bright, 0.1 * height))
+    bounds[0], bounds[3] = max(bounds[0], 0), min(bounds[3], last)
+    bounds[1], bounds[2] = max(bounds[0], middle - inner), min(bounds[3], middle + 1 + inner)
+
+
+@inlined_kernel
+def _solve(matrix, vector, damping, out):
+    # Cholesky of a damped 4 x 4 matrix; false where it is not positive definite
+    lower = np.empty((4, 4))
+    for i in range(4):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            if i == j:
+                total += damping * matrix[i, i]
+            for k in range(j):
+                total -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                lower[i, i] = math.sqrt(total)
+            else:
+                lower[i, j] = total / lower[j, j]
+    for i in range(4):
+        total = vector[i]
+        for k in range(i):
+            total -= lower[i, k] * out[k]
+        out[i] = total / lower[i, i]
+    for back in range(4):
+        i = 3 - back
+        total = out[i]
+        for k in range(i + 1, 4):
+            total -= lower[k, i] * out[k]
+        out[i] = total / lower[i, i]
+    return True
+
+
+@inlined_kernel
+def _plateau(matrix, vector, count, mean, squares, level, lit, noise):
+    # `count` samples at one level of the model enter by their mean and sum of squares about it
+    if count == 0:
+        return 0.0
+    variance = max(noise[0] + noise[1] * level, LEAST_VARIANCE)
+    residual = (mean - level) * count / variance
+    matrix[0, 0] += count / variance
+    vector[0] += residual
+    if lit:
+        matrix[1, 0] += count / variance
+        matrix[1, 1] += count / variance
+        vector[1] += residual
+    return (squares + count * (mean - level) ** 2) / variance
+
+
+@kernel
+def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix, vector):
+    """Weighted normal equations of the four parameters (low, height, crossing, log width); returns chi squared.
+
+    prior: centre and standard deviation of the crossing, and of the log width.
+    """
+    low, height, crossing = model[0], model[1], model[2]
+    width = math.exp(model[3])
+    matrix[:] = 0.0
+    vector[:] = 0.0
+    chi = _plateau(matrix, vector, flats[0], flats[1], flats[2], low, False, noise)
+    chi += _plateau(matrix, vector, flats[3], flats[4], flats[5], low + height, True, noise)
+    row = np.ones(4)
+    for k in range(bounds[1], bounds[2] + 1):
+        z = (times[k] - crossing) / width
+        share, density = normal_cdf_and_density(z)
+        slope = height * density
+        level = low + height * share
+        weight = 1.0 / max(noise[0] + noise[1] * level, LEAST_VARIANCE)
+        residual = samples[k] - level
+        size = abs(residual) * math.sqrt(weight)
+        if size > OUTLIER:
+            chi += OUTLIER * (2.0 * size - OUTLIER)
+            weight *= OUTLIER / size
+        else:
+            chi += size * size
+        row[1], row[2], row[3] = share, -slope / width, -slope * z
+        for i in range(4):
+            vector[i] += weight * residual * row[i]
+            for j in range(i + 1):
+                matrix[i, j] += weight * row[i] * row[j]
+    for i in range(2):
+        stiff = 1.0 / (prior[2 * i + 1] * prior[2 * i + 1])
+        away = model[2 + i] - prior[2 * i]
+        matrix[2 + i, 2 + i] += stiff
+        vector[2 + i] -= stiff * away
+        chi += stiff * away * away
+    return chi
+
+
+@kernel
+def _flat_sums(samples, begin, end, out):
+    # number, mean, and squares about the mean of samples[begin:end]
+    count = max(end - begin, 0)
+    mean, squares = 0.0, 0.0
+    if count:
+        for k in range(begin, end):
+            mean += samples[k]
+        mean /= count
+        for k in range(begin, end):
+            squares += (samples[k] - mean) ** 2
+    out[0], out[1], out[2] = count, mean, squares
+
+
+@kernel
+def fit_edge(samples, times, guess, sharp_width, noise, model):
+    """Weighted fit from a guess; model [8] = low, height, crossing (frames), width (frames), sigma
+    (frames), chi squared per degree of freedom, the value that chance seldom exceeds, 1 if bright to the end.
+
+    samples [frames] in levels, times [frames] in frames; sharp_width: the scan's, in frames. Returns False where
+    nothing came of it. What no sample tells, a weak prior does: the place of an edge that falls between two.
+    """
+    bounds = np.empty(4, np.int64)
+    window_of(samples, guess, noise, bounds)
+    flats = np.empty(6)
+    _flat_sums(samples, bounds[0], bounds[1], flats[:3])
+    _flat_sums(samples, bounds[2] + 1, bounds[3] + 1, flats[3:])
+    place = int(guess[2])
+    now, tried, step, vector = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    now[0], now[1] = guess[0], guess[1]
+    if place + 1 < times.size:
+        now[2] = times[place] + (guess[2] - place) * (times[place + 1] - times[place])
+    else:
+        now[2] = times[place]
+    sharp = guess[3] < SHARP
+    now[3] = math.log(sharp_width if sharp else guess[3])
+    prior = np.empty(4)
+    prior[0], prior[1] = now[2], max(0.5, 2.0 * guess[3])
+    prior[2], prior[3] = now[3], TIGHT_LOG_WIDTH if sharp else LOOSE_LOG_WIDTH
+    matrix = np.empty((4, 4))
+    new_matrix, new_vector = np.empty((4, 4)), np.empty(4)
+    chi = normal_equations(samples, times, bounds, flats, now, prior, noise, matrix, vector)
+    damping = 0.0
+    settled = False
+    for _ in range(PATIENCE):
+        if not _solve(matrix, vector, damping, step):
+            damping = max(10.0 * damping, 1e-3)
+            continue
+        wide = math.exp(now[3])
+        most = max(2.0 * wide, 1.0)
+        step[2] = min(max(step[2], -most), most)
+        step[3] = min(max(step[3], -0.7), 0.7)
+        tried[:] = now + step
+        tried[3] = max(tried[3], math.log(LEAST_WIDTH))
+        new_chi = normal_equations(samples, times, bounds, flats, tried, prior, noise, new_matrix, new_vector)
+        if not new_chi <= chi + 1e-9:
+            damping = max(10.0 * damping, 1e-2)
+            if abs(step[2]) < 1e-5 * wide:
+                settled = True
+                break
+            continue
+        gain = chi - new_chi
+        now[:], matrix[:], vector[:] = tried, new_matrix, new_vector
+        chi = new_chi
+        damping *= 0.1
+        if gain < SETTLED:
+            settled = True
+            break
+    unit = np.zeros(4)
+    unit[2] = 1.0
+    if not settled or not _solve(matrix, unit, 0.0, step) or not step[2] > 0.0 or now[1] <= 0.0:
+        return False
+    if abs(now[2] - prior[0]) > 4.0 * guess[3] + 3.0:
+        return False
+    freedom = max(bounds[3] - bounds[0] + 1 - 4, 1)
+    model[0], model[1], model[2], model[3] = now[0], now[1], now[2], math.exp(now[3])
+    model[4], model[5] = math.sqrt(step[2]), chi / freedom
+    model[6] = 1.0 + 4.0 * math.sqrt(2.0 / freedom)
+    model[7] = 1.0 if bounds[3] == samples.size - 1 else 0.0
+    return True
