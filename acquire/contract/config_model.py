@@ -101,7 +101,7 @@ class ReconstructConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """Least brightness range of a pixel that is used, in counts of 8 bit."""
     median: Annotated[int, Meta(ge=0, le=31)] = 5
     """Side of the median filter on the contrast mask in pixels, odd; 0 for none."""
-    method: Literal["linear", "probit", "fit", "auto"] = "linear"
+    method: Literal["linear", "probit", "fit", "auto"] = "auto"
     """Estimate of the crossing: linear (the paper's) or probit from two samples, fit (the whole edge), or auto."""
     noise_counts: Annotated[float, Meta(ge=0, le=255)] = 2.0
     """Standard deviation of a pixel's noise in counts of 8 bit, for sigma, until a noise model is measured."""

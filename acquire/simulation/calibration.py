@@ -48,7 +48,7 @@ def ideal_calibration(
             "kind": "translating",
             "parameter": parameter,
             "edge": "rising" if steps_per_frame > 0 else "falling",
-            "method": "linear",
+            "method": "auto",
             "normal": list(projector.normal),
             "corner_origin_mm": origin.tolist(),
             "corner_velocity_mm": velocity.tolist(),

@@ -11,11 +11,15 @@ from process.estimates.edge_kernels import SHARP, find_edge, fit_edge, sharp_sam
 from process.crossing_kernels import probit_fraction
 from process.quality import Quality
 
-FAR = 400
+FAR = 200
 """Frames to each side of a first crossing that an edge is looked for in."""
 TOO_NEAR_WIDTHS = 3.0
 """A plateau shorter than so many widths of the edge, and a frame, was not reached."""
 
+FAINT = 225.0
+"""Square of the range over the variance of the noise, below which a first crossing may be noise alone."""
+
+_FILTERED = int(Quality.FILTERED)
 _PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
 _NO_DARK = int(Quality.NO_DARK_LEVEL)
 _SEVERAL = int(Quality.SEVERAL)
@@ -108,16 +112,19 @@ def fit_block(columns, present, pixels, start, lowest, highest, noise, sharp_wid
         times = present[first:end]
         spread = max(noise[0] + noise[1] * 0.5 * (lowest[i] + highest[i]), 1.0 / 12.0)
         seen = (highest[i] - lowest[i]) - 5.0 * math.sqrt(spread)
+        faint = (highest[i] - lowest[i]) ** 2 < FAINT * spread
         place = start[i] - first
         fits = find_edge(samples, place, seen, spread, guess)
         sharp = not fits or guess[3] < SHARP
         fits = fits and fit_edge(samples, times, guess, sharp_width, noise, model)
         fits = fits and abs(model[2] - crossing[i]) <= 4.0 * model[3] + 3.0
-        if local and sharp and not (fits and model[5] <= model[6]):
+        if local and sharp and not faint and not (fits and model[5] <= model[6]):
             if local_probit(samples, times, place, seen, noise, near_edge):
                 crossing[i], sigma[i] = near_edge[0], near_edge[1]
                 continue
         if not fits:
+            if local and faint:
+                quality[i] |= _FILTERED
             continue
         crossing[i] = model[2]
         # a chi squared that chance explains says nothing about sigma

@@ -18,14 +18,16 @@ LOOSE_LOG_WIDTH, TIGHT_LOG_WIDTH = 0.7, 0.2
 """Standard deviation of the width's logarithm about a pixel's own guess; about the scan's, where an edge is sharp."""
 LEAST_HALF = 3
 """Frames to each side that are looked at first: a pulse of light may be no longer than a few frames."""
+CLEAR = 50.0
+"""Least square of a step between two plateaus over the variance of their difference, about: no step of noise alone."""
 SHARP = 1.0
 """Frames; an edge whose guessed width is less has too few samples to tell it: the scan's sharp edges together do."""
 LEAST_WIDTH, LEAST_VARIANCE = 0.15, 1.0 / 12.0
 """Frames; levels squared (rounding alone)."""
 REACH_WIDTHS, LEAST_REACH = 10.0, 6
 """Half length of the fit's window in widths of the edge, and at least in frames."""
-INNER_WIDTHS = 5.5
-"""Beyond so many widths, and two frames, a sample counts as plateau: the model differs from it by 2e-8."""
+INNER_WIDTHS = 4.5
+"""Beyond so many widths, and two frames, a sample counts as plateau: the model differs from it by 3e-6 of the height."""
 PATIENCE = 12
 """Steps of the fit; two to four suffice where there is an edge."""
 SETTLED = 0.01
@@ -88,7 +90,8 @@ def find_edge(samples, start, range_seen, spread, guess):
     found = False
     while True:
         if guess_edge(samples, start, half, spread, guess):
-            found = guess[3] <= half / 6.0 and guess[1] >= 0.5 * range_seen
+            clear = guess[1] * guess[1] * ((half + 1) // 2) >= CLEAR * spread
+            found = clear and guess[3] <= half / 6.0 and guess[1] >= 0.5 * range_seen
         if found or half >= samples.size:
             break
         half *= 2
@@ -151,9 +154,8 @@ def window_of(samples, guess, noise, bounds):
 
 
 @inlined_kernel
-def _solve(matrix, vector, damping, out):
+def _solve(matrix, vector, damping, lower, out):
     # Cholesky of a damped 4 x 4 matrix; false where it is not positive definite
-    lower = np.empty((4, 4))
     for i in range(4):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -209,25 +211,46 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
     vector[:] = 0.0
     chi = _plateau(matrix, vector, flats[0], flats[1], flats[2], low, False, noise)
     chi += _plateau(matrix, vector, flats[3], flats[4], flats[5], low + height, True, noise)
-    row = np.ones(4)
+    inverse = 1.0 / width
+    a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
     for k in range(bounds[1], bounds[2] + 1):
-        z = (times[k] - crossing) / width
+        z = (times[k] - crossing) * inverse
         share, density = normal_cdf_and_density(z)
-        slope = height * density
         level = low + height * share
         weight = 1.0 / max(noise[0] + noise[1] * level, LEAST_VARIANCE)
         residual = samples[k] - level
-        size = abs(residual) * math.sqrt(weight)
-        if size > OUTLIER:
-            chi += OUTLIER * (2.0 * size - OUTLIER)
+        square = residual * residual * weight
+        if square > OUTLIER * OUTLIER:
+            size = math.sqrt(square)
+            square = OUTLIER * (2.0 * size - OUTLIER)
             weight *= OUTLIER / size
-        else:
-            chi += size * size
-        row[1], row[2], row[3] = share, -slope / width, -slope * z
-        for i in range(4):
-            vector[i] += weight * residual * row[i]
-            for j in range(i + 1):
-                matrix[i, j] += weight * row[i] * row[j]
+        chi += square
+        by_place = -height * density * inverse
+        by_width = by_place * z * width
+        w1, w2, w3 = weight * share, weight * by_place, weight * by_width
+        a00 += weight
+        a10 += w1
+        a11 += w1 * share
+        a20 += w2
+        a21 += w2 * share
+        a22 += w2 * by_place
+        a30 += w3
+        a31 += w3 * share
+        a32 += w3 * by_place
+        a33 += w3 * by_width
+        b0 += weight * residual
+        b1 += w1 * residual
+        b2 += w2 * residual
+        b3 += w3 * residual
+    matrix[0, 0] += a00
+    matrix[1, 0] += a10
+    matrix[1, 1] += a11
+    matrix[2, 0], matrix[2, 1], matrix[2, 2] = a20, a21, a22
+    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = a30, a31, a32, a33
+    vector[0] += b0
+    vector[1] += b1
+    vector[2], vector[3] = b2, b3
     for i in range(2):
         stiff = 1.0 / (prior[2 * i + 1] * prior[2 * i + 1])
         away = model[2 + i] - prior[2 * i]
@@ -265,7 +288,8 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
     _flat_sums(samples, bounds[0], bounds[1], flats[:3])
     _flat_sums(samples, bounds[2] + 1, bounds[3] + 1, flats[3:])
     place = int(guess[2])
-    now, tried, step, vector = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    vectors = np.zeros((7, 4))
+    now, tried, step, vector, new_vector = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     now[0], now[1] = guess[0], guess[1]
     if place + 1 < times.size:
         now[2] = times[place] + (guess[2] - place) * (times[place + 1] - times[place])
@@ -273,16 +297,16 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
         now[2] = times[place]
     sharp = guess[3] < SHARP
     now[3] = math.log(sharp_width if sharp else guess[3])
-    prior = np.empty(4)
+    prior = vectors[5]
     prior[0], prior[1] = now[2], max(0.5, 2.0 * guess[3])
     prior[2], prior[3] = now[3], TIGHT_LOG_WIDTH if sharp else LOOSE_LOG_WIDTH
-    matrix = np.empty((4, 4))
-    new_matrix, new_vector = np.empty((4, 4)), np.empty(4)
+    work = np.empty((3, 4, 4))
+    matrix, new_matrix = work[0], work[1]
     chi = normal_equations(samples, times, bounds, flats, now, prior, noise, matrix, vector)
     damping = 0.0
     settled = False
     for _ in range(PATIENCE):
-        if not _solve(matrix, vector, damping, step):
+        if not _solve(matrix, vector, damping, work[2], step):
             damping = max(10.0 * damping, 1e-3)
             continue
         wide = math.exp(now[3])
@@ -305,9 +329,9 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
         if gain < SETTLED:
             settled = True
             break
-    unit = np.zeros(4)
+    unit = vectors[6]
     unit[2] = 1.0
-    if not settled or not _solve(matrix, unit, 0.0, step) or not step[2] > 0.0 or now[1] <= 0.0:
+    if not settled or not _solve(matrix, unit, 0.0, work[2], step) or not step[2] > 0.0 or now[1] <= 0.0:
         return False
     if abs(now[2] - prior[0]) > 4.0 * guess[3] + 3.0:
         return False

@@ -105,7 +105,8 @@ def measure_noise(maps: Maps, sequence: Sequence, fallback: NoiseModel) -> Noise
     guard = guard_frames(len(sequence.present))
 
     def figures(block: tuple[int, int]) -> NDArray[np.float64]:
-        first, rows = block[0] + block[1] // 2, 1
+        rows = min(block[1], -(-NOISE_PIXELS // maps.mask.shape[1]))
+        first = block[0] + (block[1] - rows) // 2
         columns = _folded(sequence, sequence.read_rows(first, rows))
         start = _starts(maps.crossing[first : first + rows].ravel(), sequence.present)
         found = np.empty((2 * NOISE_PIXELS, 2))

@@ -24,7 +24,7 @@ def changed(**plane) -> str:
 
 def test_without_anything_the_documented_defaults_hold():
     found = settle(Recorded(FORM), ReconstructOptions())
-    assert (found.contrast, found.median, found.edge, found.method) == (70, 5, "rising", "linear")
+    assert (found.contrast, found.median, found.edge, found.method) == (70, 5, "rising", "auto")
     assert found.calibration is None and "no calibration" in found.what_is_missing
 
 
@@ -118,7 +118,7 @@ def test_a_plane_by_frame_numbers_of_another_sweep_is_refused_unless_forced():
         (ReconstructOptions(contrast=256), "contrast.*256"),
         (ReconstructOptions(contrast=-1), "contrast.*-1"),
         (ReconstructOptions(median=4), "median must be odd.*4"),
-        (ReconstructOptions(method="probit"), "method.*probit"),
+        (ReconstructOptions(method="spline"), "method.*spline"),
     ],
 )
 def test_a_flag_out_of_bounds_is_refused_by_name(options, named):

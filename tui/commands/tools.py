@@ -80,6 +80,24 @@ def stage(frames: int, as_json: bool) -> None:
     _show(bench_stage(frames), as_json)
 
 
+@bench.command()
+@click.option("--pixels", type=click.IntRange(16, 1_000_000), default=16_000, show_default=True, help="Per kind of edge.")
+@click.option("--speed", is_flag=True, help="Time the whole-edge fit of a 1024 x 768 x 527 scan instead.")
+@json_option
+def estimates(pixels: int, speed: bool, as_json: bool) -> None:
+    """Compare the crossing estimates with the Cramer-Rao bound; prints the table of docs/accuracy.md."""
+    from process.estimates.bench import bench_estimates, bench_fit_speed, markdown
+
+    if speed:
+        _show(bench_fit_speed(), as_json)
+        return
+    cases = list(bench_estimates(pixels))
+    if as_json:
+        print_json([case._asdict() for case in cases])
+        return
+    click.echo(markdown(cases))
+
+
 def _show(figures: object, as_json: bool) -> None:
     if as_json:
         print_json(figures)
