@@ -166,9 +166,7 @@ def empty_samples(pixels: int) -> Samples:
     )
 
 
-def _resolve(
-    read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folded, how: _How, out: _Estimates
-) -> None:
+def _resolve(read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folded, how: _How, out: _Estimates) -> None:
     """Two passes over the sequence of the flagged pixels, in bounded pieces."""
     size = max(1, COLUMN_BYTES // (folded.minimum.dtype.itemsize * len(folded.present)))
     for start in range(0, len(flagged), size):

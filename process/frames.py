@@ -109,7 +109,6 @@ class ScanFrames:
             found[row] = grey
         return found
 
-
     def rows(self, frames: NDArray[np.int64], first: int, count: int) -> NDArray[Any]:
         """Grey values of ``count`` rows from ``first`` on in all ``frames``: [len(frames), count, w], read-only use.
 

@@ -289,7 +289,7 @@ class ScanReader:
         if not (0 <= frame_index < self.count and 0 <= first_row <= form.height - len(out)):
             raise IndexError(f"rows {first_row} to {first_row + len(out) - 1} of frame {frame_index} of {self.count}")
         offset = self.layout.frame_offset(frame_index) + first_row * (form.nbytes // form.height)
-        target = memoryview(out).cast("B")
+        target = out.reshape(-1).view(np.uint8).data
         read = 0
         while read < len(target):
             more = os.preadv(self._fd, [target[read:]], offset + read)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence as Series
+from collections.abc import Iterator
+from collections.abc import Sequence as Series
 from dataclasses import replace
-from typing import NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ def estimated(frames: NDArray[np.uint8], method: Method, contrast: int, noise_co
     fold = Fold(frames.shape[1:], bit_depth=8, edge="rising", frames_expected=len(frames))
     for index, frame in enumerate(frames):
         fold.add(index, frame)
-    live = "linear" if method == "linear" else "probit"
+    live: Literal["linear", "probit"] = "linear" if method == "linear" else "probit"
     maps = fold.result(contrast=contrast, median=0, method=live, noise_counts=noise_counts, read_columns=None)
     if method == "linear":
         return maps
@@ -150,7 +151,7 @@ def bench_fit_speed(shape: tuple[int, int] = (768, 1024), frames: int = 527) -> 
     some = np.full(shape, np.nan)
     chosen = slice(height // 2, height // 2 + max(1, height // 10))
     some[chosen] = maps.crossing[chosen]
-    seconds = {}
+    seconds: dict[str, float] = {}
     for name, crossing in (("tenth", some), ("all", maps.crossing)):
         given = replace(maps, crossing=crossing)
         start_s = time.perf_counter()

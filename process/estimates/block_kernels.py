@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from process.compiled import kernel
-from process.estimates.edge_kernels import SHARP, find_edge, fit_edge, sharp_samples
 from process.crossing_kernels import probit_fraction
+from process.estimates.edge_kernels import SHARP, find_edge, fit_edge, sharp_samples
 from process.quality import Quality
 
 FAR = 200
@@ -94,7 +94,22 @@ def count_sharp(columns, start, noise):
 
 
 @kernel
-def fit_block(columns, present, pixels, start, lowest, highest, noise, sharp_width, local, lasting, crossing, sigma, quality, width):
+def fit_block(
+    columns,
+    present,
+    pixels,
+    start,
+    lowest,
+    highest,
+    noise,
+    sharp_width,
+    local,
+    lasting,
+    crossing,
+    sigma,
+    quality,
+    width,
+):
     """Fit the pixels (places in columns [frames, :]) about their first crossing, place start[i] among the frames.
 
     lowest, highest [i]: extremes of the folded signal. local: a sharp edge that is no erf, or none that can be
@@ -118,10 +133,10 @@ def fit_block(columns, present, pixels, start, lowest, highest, noise, sharp_wid
         sharp = not fits or guess[3] < SHARP
         fits = fits and fit_edge(samples, times, guess, sharp_width, noise, model)
         fits = fits and abs(model[2] - crossing[i]) <= 4.0 * model[3] + 3.0
-        if local and sharp and not faint and not (fits and model[5] <= model[6]):
-            if local_probit(samples, times, place, seen, noise, near_edge):
-                crossing[i], sigma[i] = near_edge[0], near_edge[1]
-                continue
+        uneven = local and sharp and not faint and not (fits and model[5] <= model[6])
+        if uneven and local_probit(samples, times, place, seen, noise, near_edge):
+            crossing[i], sigma[i] = near_edge[0], near_edge[1]
+            continue
         if not fits:
             if local and faint:
                 quality[i] |= _FILTERED

@@ -4,6 +4,8 @@ The model of a pixel's samples is low + height Phi((t - crossing) / width), t in
 with the variance noise[0] + noise[1] x level. Everything is float64, in the written order.
 """
 
+# ruff: noqa: PLR0915 - unrolled sums: an array per sample would cost more than the arithmetic
+
 from __future__ import annotations
 
 import math
@@ -27,7 +29,7 @@ LEAST_WIDTH, LEAST_VARIANCE = 0.15, 1.0 / 12.0
 REACH_WIDTHS, LEAST_REACH = 10.0, 6
 """Half length of the fit's window in widths of the edge, and at least in frames."""
 INNER_WIDTHS = 4.5
-"""Beyond so many widths, and two frames, a sample counts as plateau: the model differs from it by 3e-6 of the height."""
+"""Beyond so many widths, and two frames, a sample counts as plateau: the model is off by 3e-6 of the height."""
 PATIENCE = 12
 """Steps of the fit; two to four suffice where there is an edge."""
 SETTLED = 0.01
@@ -148,7 +150,9 @@ def window_of(samples, guess, noise, bounds):
     near = int(math.ceil(3.0 * width)) + 1
     outer = max(reach - near, 0)
     bounds[0] = middle - near - flat_end(samples, middle - near, -1, outer, low, max(dark, 0.1 * height))
-    bounds[3] = middle + 1 + near + flat_end(samples, middle + 1 + near, 1, outer, low + height, max(bright, 0.1 * height))
+    bounds[3] = (
+        middle + 1 + near + flat_end(samples, middle + 1 + near, 1, outer, low + height, max(bright, 0.1 * height))
+    )
     bounds[0], bounds[3] = max(bounds[0], 0), min(bounds[3], last)
     bounds[1], bounds[2] = max(bounds[0], middle - inner), min(bounds[3], middle + 1 + inner)
 

@@ -67,7 +67,7 @@ def refine(maps: Maps, method: Method, sequence: Sequence, noise_counts: float) 
     """
     noise = measure_noise(maps, sequence, assumed_noise(noise_counts * 2.0 ** (sequence.bit_depth - 8)))
     maps = _with_measured_sigma(maps, sequence, noise, noise_counts)
-    width = np.full(maps.mask.shape, np.nan, np.float32)
+    width: NDArray[np.float32] = np.full(maps.mask.shape, np.nan, np.float32)
     if method in ("fit", "auto"):
         maps = _fitted(maps, sequence, noise, width, keep=method == "auto")
     return Refined(maps, noise, width)
@@ -84,7 +84,7 @@ def _blocks(maps: Maps, sequence: Sequence) -> Iterator[tuple[int, int]]:
     height, width = maps.mask.shape
     row_bytes = len(sequence.present) * width * maps.minimum.dtype.itemsize
     rows = max(1, min(height, BLOCK_BYTES // max(row_bytes, 1)))
-    wanted = np.isfinite(maps.crossing).any(axis=1)
+    wanted = np.asarray(np.isfinite(maps.crossing).any(axis=1))
     for first in range(0, height, rows):
         if wanted[first : first + rows].any():
             yield first, min(rows, height - first)
@@ -147,6 +147,7 @@ def _with_measured_sigma(maps: Maps, sequence: Sequence, noise: NoiseModel, nois
 
 def _fitted(maps: Maps, sequence: Sequence, noise: NoiseModel, width: NDArray[np.float32], *, keep: bool) -> Maps:
     crossing, sigma, quality = maps.crossing.copy(), maps.sigma.copy(), maps.quality.copy()
+    outputs: list[NDArray[Any]] = [crossing, sigma, quality, width]
     lasting = _lasting_bits(maps, sequence)
     present = sequence.present.astype(np.float64)
     full = full_scale(sequence.bit_depth)
@@ -158,14 +159,13 @@ def _fitted(maps: Maps, sequence: Sequence, noise: NoiseModel, width: NDArray[np
     def fit(block: tuple[int, int]) -> None:
         rows = slice(block[0], block[0] + block[1])
         pixels = np.flatnonzero(np.isfinite(maps.crossing[rows]))
-        parts = [np.ascontiguousarray(array[rows].ravel()[pixels]) for array in (crossing, sigma, quality, width)]
-        start = _starts(parts[0], sequence.present)
+        parts = [np.ascontiguousarray(array[rows].ravel()[pixels]) for array in outputs]
+        start = _starts(np.asarray(parts[0], np.float64), sequence.present)
         given = [array[rows].ravel()[pixels] for array in (low, high)]
         columns = _folded(sequence, sequence.read_rows(*block))
-        fit_block(
-            columns, present, pixels, start, *given, noise.coefficients(), sharp_width, keep, lasting[rows].ravel()[pixels], *parts
-        )
-        for array, part in zip((crossing, sigma, quality, width), parts, strict=True):
+        told = (noise.coefficients(), sharp_width, keep, lasting[rows].ravel()[pixels])
+        fit_block(columns, present, pixels, start, *given, *told, *parts)
+        for array, part in zip(outputs, parts, strict=True):
             array[rows].reshape(-1)[pixels] = part
 
     with ThreadPoolExecutor(THREADS) as pool:
@@ -181,7 +181,7 @@ def _fitted(maps: Maps, sequence: Sequence, noise: NoiseModel, width: NDArray[np
 def _lasting_bits(maps: Maps, sequence: Sequence) -> NDArray[np.uint16]:
     """Bits that do not depend on the estimate, [h, w]."""
     judged = np.uint16(Quality.PLATEAU_NOT_REACHED | Quality.SEVERAL | Quality.NO_DARK_LEVEL)
-    lasting = maps.quality & ~judged
-    bright = (maps.minimum > full_scale(sequence.bit_depth) // 2) & (maps.mask != 0)
+    lasting: NDArray[np.uint16] = (maps.quality & ~judged).astype(np.uint16)
+    bright = np.asarray(maps.minimum > full_scale(sequence.bit_depth) // 2) & (maps.mask != 0)
     lasting[bright] |= np.uint16(Quality.NO_DARK_LEVEL)
     return lasting

@@ -81,7 +81,9 @@ def stage(frames: int, as_json: bool) -> None:
 
 
 @bench.command()
-@click.option("--pixels", type=click.IntRange(16, 1_000_000), default=16_000, show_default=True, help="Per kind of edge.")
+@click.option(
+    "--pixels", type=click.IntRange(16, 1_000_000), default=16_000, show_default=True, help="Per kind of edge."
+)
 @click.option("--speed", is_flag=True, help="Time the whole-edge fit of a 1024 x 768 x 527 scan instead.")
 @json_option
 def estimates(pixels: int, speed: bool, as_json: bool) -> None:
