@@ -12,6 +12,9 @@ from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.messages import FrameFormat
 
 from .cloud import make_cloud, write_ply
+from .crossings import Maps
+from .estimates.filters import filtered
+from .estimates.refine import Sequence, refine
 from .fold import Fold
 from .geometry import coordinates, plane_table, rays
 from .report import versions
@@ -39,6 +42,7 @@ def warm_up() -> None:
         for frame_index in range(FRAMES):
             fold.add(frame_index, _frame(frame_index, bit_depth, channels), keep=True)
         maps = fold.result(contrast=50, median=3, noise_counts=1.0, read_columns=None)
+        _estimate(maps, fold, bit_depth)
         present = np.ones(FRAMES, np.bool_)
         frame_t = coordinates(plane, FRAMES, present, np.zeros(FRAMES))
         cloud = make_cloud(maps, rays(camera), plane_table(plane), frame_t, left_out=0)
@@ -47,6 +51,13 @@ def warm_up() -> None:
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         write_ply(Path(folder) / "cloud.ply", cloud)
         write_maps(Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), source)
+
+
+def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:
+    """The second look at a scan of this depth."""
+    levels = np.stack([_frame(k, bit_depth, 1) for k in range(FRAMES)])
+    sequence = Sequence(lambda first, rows: levels[:, first : first + rows], fold.present, "rising", bit_depth)
+    filtered(refine(maps, "auto", sequence, 1.0).maps)
 
 
 def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generic]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -67,3 +68,29 @@ def test_the_cloud_has_the_colours_of_the_photograph(frog, real_scan):
     found = np.stack([cloud["red"], cloud["green"], cloud["blue"]], axis=1).astype(float)
     assert np.median(np.abs(found - seen)) < 8
     assert np.corrcoef(found[:, 0] - found[:, 2], seen[:, 0] - seen[:, 2])[0, 1] > 0.9
+
+
+def _spread_mm(summary: Summary, plane: dict) -> tuple[float, int, np.ndarray]:
+    """Robust sigma of the distance from a reference plane, number of points, histogram of the fractional part."""
+    cloud = summary.results.cloud
+    left, right, top, bottom = plane["image_region_px"]
+    row, column = np.divmod(cloud.pixels, 512)
+    inside = (column >= left) & (column <= right) & (row >= top) & (row <= bottom)
+    distance = (cloud.points_mm[inside] - plane["T"]) @ np.array(plane["R"])[:, 2]
+    distance = distance[np.abs(distance - np.median(distance)) < 30]
+    histogram = np.histogram(cloud.crossing[inside] % 1, bins=10, range=(0, 1))[0]
+    return 1.4826 * np.median(np.abs(distance - np.median(distance))), int(inside.sum()), histogram
+
+
+def test_auto_is_closer_to_the_reference_planes_than_two_samples_are(frog, real_scan, tmp_path):
+    planes = json.loads((real_scan / "calibration.json").read_text())["reference_planes"]
+    options = ReconstructOptions(
+        calibration=real_scan / "calibration.json", edge="falling", contrast=50, median=0, method="auto", out=tmp_path
+    )
+    auto = reconstruct(frog[0], options)
+    for name, linear_mm, probit_mm in (("wall", 3.20, 2.17), ("floor", 1.73, 1.27)):
+        linear, points, _ = _spread_mm(frog[1], planes[name])
+        found, kept, histogram = _spread_mm(auto, planes[name])
+        assert linear == pytest.approx(linear_mm, abs=0.01)
+        assert found < 0.95 * probit_mm and kept > 0.99 * points
+        assert histogram.max() < 1.3 * histogram.mean() and histogram.min() > 0.7 * histogram.mean()
