@@ -7,6 +7,7 @@ against their truth. Takes about five minutes.
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import cv2
@@ -70,7 +71,7 @@ def main() -> None:
         thing = msgspec.structs.replace(board, object=name)
         simulate_sweep(folder / name, thing, size=SIZE, with_truth=True)
         run(["reconstruct", str(folder / name), "--calibration", calibration, *method])
-        print(name, (folder / name / "report.json").read_text().partition('"truth"')[2])
+        print(name, json.loads((folder / name / "report.json").read_text())["truth"])
 
 
 if __name__ == "__main__":
