@@ -81,7 +81,8 @@ class Demonstration:
         run_dir = self._rig.run_dir
         self._say(f"starting {', '.join(SERVICES)}")
         self._await(lambda: somebody_listens(run_dir), READY_S, "the daemon did not come up")
-        self._await(lambda: somebody_listens(run_dir, "results"), READY_S, "the worker did not come up")
+        # it listens at once, but speaks only when its kernels are compiled: then it misses no frame
+        self._await(lambda: self.feed.newest() is not None, READY_S, "the worker did not come up")
         self._await(lambda: bool(read_url(run_dir)), READY_S, "the viewer did not come up")
         self.url = read_url(run_dir)
         self._say(f"the cloud is shown at {self.url}")

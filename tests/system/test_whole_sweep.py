@@ -19,6 +19,7 @@ from acquire.simulation import Renderer, build_scene
 from acquire.verify import verify
 from process.reconstruct import reconstruct
 from process.settings import ReconstructOptions
+from tui.client import ProgressFeed
 
 from .appliance import SMALL, Appliance
 
@@ -77,8 +78,18 @@ def results_of(appliance, folder):
     return appliance.until(final, "the final report")
 
 
+def wait_for_worker(appliance):
+    """It speaks once its kernels are compiled; a sweep that begins before is folded from the file."""
+    feed = ProgressFeed(appliance.run_dir)
+    try:
+        appliance.until(lambda: feed.newest() is not None, "the worker is ready")
+    finally:
+        feed.close()
+
+
 def test_an_undisturbed_sweep_is_complete_exact_and_folded_live(appliance, expected_frames, tmp_path):
     appliance.start("daemon", "writer", "worker")
+    wait_for_worker(appliance)
     with appliance.client() as client:
         scan = appliance.scan(client)
         status = appliance.finished(client, scan["scan_uid"])
