@@ -64,6 +64,35 @@ class CameraRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     brightness_percent: Annotated[float, Meta(ge=0, le=100)] | None = None
 
 
+class PreviewRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``preview``: pictures without a sweep, on or off; on again changes the rate."""
+
+    on: bool
+    rate_hz: Annotated[float, Meta(gt=0, le=30)] = 5.0
+
+
+class PrescanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``prescan``: a quick look at every n-th position; what is left out comes from the configuration."""
+
+    first_steps: Position | None = None
+    last_steps: Position | None = None
+    every_steps: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    """Microsteps between two looks; None: twenty frames' worth."""
+
+
+class JogHoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``jog_hold``: move on under a lease; each call renews it, without one for 300 ms the stage stops."""
+
+    direction: Literal[-1, 1]
+    rate_steps_per_s: Annotated[float, Meta(gt=0, le=100_000)] = 200.0
+
+
+class ControlRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``control``: take it (from whoever holds it), renew it, or give it back; it lapses 10 s after the last word."""
+
+    action: Literal["take", "renew", "release"]
+
+
 class AcknowledgeRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``acknowledge``: the operator has seen a fault; empty means all."""
 

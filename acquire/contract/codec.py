@@ -18,8 +18,10 @@ from .messages import (
     Image,
     Message,
     Nack,
+    Picture,
     Reply,
     ResultEnd,
+    ResultMaps,
     ResultProgress,
     ResultTiles,
     Start,
@@ -44,6 +46,8 @@ _TYPES: Final[dict[str, type[Message]]] = {
     "reply": Reply,
     "result_progress": ResultProgress,
     "result_tiles": ResultTiles,
+    "result_maps": ResultMaps,
+    "picture": Picture,
     "result_end": ResultEnd,
 }
 

@@ -1,4 +1,4 @@
-"""The five lanes: sockets with their bounds set, and sending and receiving of typed messages over them."""
+"""The lanes: sockets with their bounds set, and sending and receiving of typed messages over them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ _MAX_BYTES = {
     "results": MAX_FRAME_BYTES,
     "status": MAX_COMMAND_BYTES,
     "command": MAX_COMMAND_BYTES,
+    "preview": MAX_FRAME_BYTES,
 }
-_MARKS = {"frames": 100_000, "live": 16, "results": 64, "status": 16, "command": 256}
+_MARKS = {"frames": 100_000, "live": 16, "results": 64, "status": 16, "command": 256, "preview": 2}
 """High-water marks in messages; that of the frames lane lies far above any window and never decides."""
 
 

@@ -10,7 +10,7 @@ from msgspec import Meta
 from .plan import MAX_FRAMES, SweepPlan
 from .states import Outcome
 
-PROTOCOL = (1, 0)
+PROTOCOL = (1, 1)
 """Major and minor version of the wire format; another major is refused at the handshake."""
 
 MAX_SIDE_PX = 16_384
@@ -227,6 +227,26 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
     acknowledged: bool = False
 
 
+class Proposal(msgspec.Struct, frozen=True, kw_only=True):
+    """What a pre-scan proposes; nothing of it is taken over by itself."""
+
+    first_steps: Int64
+    """Position in microsteps where the light is about to reach the specimen."""
+    last_steps: Int64
+    """Position in microsteps where the light has left it."""
+    exposure_ms: float
+    """Exposure with which the brightest of the specimen stays below full scale, in ms."""
+    frames: Count
+    seconds: float
+    """Estimated duration of the sweep in s."""
+    nbytes: Count
+    """Disk that the sweep needs."""
+    free_bytes: Count
+    """Disk that is free."""
+    warnings: Annotated[list[Text], Meta(max_length=16)] = []
+    """Lit in the first frame, dark in the last, saturated, too dark: in words."""
+
+
 class Status(Message, frozen=True, kw_only=True, tag="status"):
     """The whole state of the rig; the newest one wins."""
 
@@ -266,6 +286,20 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     faults: Annotated[list[FaultReport], Meta(max_length=64)] = []
     message: Text = ""
     """The last thing that happened, in words."""
+    stage_version: Name = ""
+    """Firmware of the motion controller; empty where it has none."""
+    control: Name = ""
+    """The client that holds control, by its name; empty: nobody does, and any client may act."""
+    activity: Name = ""
+    """``preview``, ``exposure``, ``prescan`` or ``jog`` while one runs beside no sweep; empty otherwise."""
+    activity_share: float = 0.0
+    """How far a pre-scan or an exposure search is, 0..1."""
+    proposal: Proposal | None = None
+    """What the last pre-scan proposed; None before the first and once a scan has started."""
+    lamp_warm_s: float = 0.0
+    """Seconds until the lamp is warm; 0 when it is, or when it is off."""
+    camera_limits: dict[Name, tuple[float, float]] = {}
+    """[lowest, highest] of exposure_ms, gain, brightness_percent."""
 
 
 class Command(Message, frozen=True, kw_only=True, tag="command"):
@@ -274,6 +308,8 @@ class Command(Message, frozen=True, kw_only=True, tag="command"):
     request_id: Annotated[str, Meta(min_length=1, max_length=64)]
     name: Name
     args: dict[Name, Any] = {}
+    client: Name = ""
+    """Who asks, in words that tell clients apart (``anna on pts/3``); empty: a script that holds nothing."""
 
 
 class Reply(Message, frozen=True, kw_only=True, tag="reply"):
@@ -283,6 +319,29 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
     ok: bool
     error: Text = ""
     result: dict[Name, Any] = {}
+
+
+# ---- preview lane: daemon -> console, viewer ----
+
+
+class Picture(Message, frozen=True, kw_only=True, tag="picture"):
+    """The newest camera picture, reduced for people to look at; uint8 pixels in the second part. Lossy."""
+
+    shape: Annotated[list[Side], Meta(min_length=2, max_length=3)]
+    """[h, w] or [h, w, 3] RGB of the reduced picture."""
+    source_shape: Annotated[list[Side], Meta(min_length=2, max_length=2)]
+    """[h, w] of the camera's frame."""
+    frame_index: Id = -1
+    """The frame of the running sweep; -1 in a preview."""
+    position_steps: Int64 = 0
+    position_um: float = 0.0
+    exposure_ms: float = 0.0
+    full_scale_share: float = 0.0
+    """Share of the frame's pixels at full scale, 0..1."""
+    low: float = 0.0
+    """1st percentile of the frame in 8-bit counts."""
+    high: float = 0.0
+    """99.9th percentile of the frame in 8-bit counts."""
 
 
 # ---- results lane: worker -> viewer, console ----
@@ -326,6 +385,20 @@ class ResultTiles(Message, frozen=True, kw_only=True, tag="result_tiles"):
     tiles: Annotated[list[TileHeader], Meta(max_length=4096)]
 
 
+class ResultMaps(Message, frozen=True, kw_only=True, tag="result_maps"):
+    """Every ``step``-th pixel of the maps so far; the second part: min <u2, max <u2, crossing <f4 in order."""
+
+    version: Count
+    folded_through: Id
+    shape: Annotated[list[Side], Meta(min_length=2, max_length=2)]
+    """[h, w] of each sampled map."""
+    step: Annotated[int, Meta(ge=1, le=MAX_SIDE_PX)]
+    """Distance of the samples in pixels, in both directions, from pixel 0; they are not averaged."""
+    contrast: float
+    """Threshold of the mask in counts of the stored depth."""
+    bit_depth: Annotated[int, Meta(ge=8, le=16)] = 8
+
+
 class ResultEnd(Message, frozen=True, kw_only=True, tag="result_end"):
     """Maps and cloud of a scan are on disk."""
 
@@ -345,5 +418,5 @@ FramesMessage = Start | Image | End | Hello | StartAck | Ack | EndAck | Nack
 LiveMessage = Start | Image | End
 CommandMessage = Command
 ReplyMessage = Reply
-ResultMessage = ResultProgress | ResultTiles | ResultEnd
-AnyMessage = FramesMessage | Status | Command | Reply | ResultMessage
+ResultMessage = ResultProgress | ResultTiles | ResultMaps | ResultEnd
+AnyMessage = FramesMessage | Status | Command | Reply | Picture | ResultMessage

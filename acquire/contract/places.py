@@ -12,7 +12,7 @@ from typing import IO
 
 from .errors import AlreadyRunningError, ConfigError, NoServiceError
 
-LANES = ("frames", "live", "results", "status", "command")
+LANES = ("frames", "live", "results", "status", "command", "preview")
 SYSTEM_RUN = Path("/run/sweepscope")
 MAX_SOCKET_PATH_BYTES = 107
 

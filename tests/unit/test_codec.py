@@ -8,6 +8,7 @@ import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from acquire.contract.codec import ProtocolMismatchError, decode, decode_as, encode
 from acquire.contract.errors import ProtocolError
@@ -21,8 +22,10 @@ from acquire.contract.messages import (
     Hello,
     Image,
     Nack,
+    Picture,
     Reply,
     ResultEnd,
+    ResultMaps,
     ResultProgress,
     ResultTiles,
     Start,
@@ -33,7 +36,7 @@ from acquire.contract.messages import (
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "protocol-1"
+GOLDEN = Path(__file__).parents[1] / "golden"
 PLAN = SweepPlan(first_steps=0, last_steps=1578, steps_per_frame=3, um_per_microstep=3.175)
 FORMAT = FrameFormat(width=1024, height=768, bit_depth=8, pixel_format="rgb")
 HEADER = {"scan_uid": "0123abcd", "seq": 7, "epoch": "boot", "sent_mono_ns": 123456789}
@@ -60,6 +63,8 @@ MESSAGES = {
     "result_tiles": ResultTiles(
         version=2, folded_through=9, snapshot=True, tiles=[TileHeader(3, 10, 2, (0.5, 1.0, -1.0))], **HEADER
     ),
+    "picture": Picture(shape=[192, 256], source_shape=[768, 1024], frame_index=4, full_scale_share=0.25, **HEADER),
+    "result_maps": ResultMaps(version=4, folded_through=9, shape=[384, 512], step=2, contrast=70.0, **HEADER),
     "result_end": ResultEnd(version=3, outcome="complete", folded_through=526, points=75151, seconds=0.2, **HEADER),
 }  # fmt: skip
 
@@ -69,9 +74,14 @@ def test_a_message_survives_the_wire(name):
     assert decode(encode(MESSAGES[name])) == MESSAGES[name]
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in (GOLDEN / "protocol-1").iterdir()))
+def test_the_golden_bytes_of_version_1_0_still_mean_the_same(name):
+    assert decode((GOLDEN / "protocol-1" / f"{name}.bin").read_bytes()) == replace(MESSAGES[name], protocol=(1, 0))
+
+
 @pytest.mark.parametrize("name", MESSAGES)
-def test_the_golden_bytes_of_version_1_still_mean_the_same(name):
-    golden = (GOLDEN / f"{name}.bin").read_bytes()
+def test_the_golden_bytes_of_version_1_1_still_mean_the_same(name):
+    golden = (GOLDEN / "protocol-1.1" / f"{name}.bin").read_bytes()
     assert decode(golden) == MESSAGES[name]
     assert encode(MESSAGES[name]) == golden
 
