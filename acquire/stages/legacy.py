@@ -6,7 +6,6 @@ Steps, triggers and frames are therefore counted by the host alone, and the repo
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 
@@ -15,8 +14,9 @@ import serial
 from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 
+from .host_run import HostRunStage
 from .ports import choose_port, open_port
-from .protocol import Held, Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
+from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
 
 BAUD = 9600
 _BYTE_S = 10 / BAUD
@@ -27,11 +27,7 @@ STEP_BYTES = b"10"
 OUTWARD, INWARD = b"2", b"3"
 
 
-class _StopRequestedError(Exception):
-    """Unwinds the running activity."""
-
-
-class LegacyStage:
+class LegacyStage(HostRunStage):
     """Steps by bytes. ``fire`` is called at each shot: the camera must be triggered by the host.
 
     The position is trusted only from ``zero_here`` until the port is closed: nobody can tell whether the controller
@@ -46,39 +42,26 @@ class LegacyStage:
         opener: Callable[[], serial.Serial] | None = None,
         dead_time_s: float = _DEAD_S,
     ) -> None:
-        self._config = config
+        super().__init__(config, "legacy-stage")
         self._fire = fire
         self._opener = opener or (lambda: open_port(choose_port(config.port), BAUD))
         self._dead_time_s = dead_time_s
-        self._sink: StageSink = lambda _event: None
         self._port: serial.Serial | None = None
-        self._thread: threading.Thread | None = None
-        self._changed = threading.Condition()
-        self._activity: Callable[[], None] | None = None
-        self._stopping = self._closing = self._holding = False
-        self._position = self._triggers = self._zeros = 0
-        self._granted = -1
+        self._zeros = 0
         self._ready_s = 0.0
 
     # ---- protocol ----
 
     def open(self, sink: StageSink) -> StageInfo:
         """Open the port; the first motion waits for the controller's dead time."""
-        self._sink = sink
         self._port = self._opener()
         self._ready_s = time.monotonic() + self._dead_time_s
-        self._thread = threading.Thread(target=self._serve, name="legacy-stage", daemon=True)
-        self._thread.start()
+        self._begin_serving(sink)
         return StageInfo(kind="legacy", version="original sketch", counts_triggers=False)
 
     def close(self) -> None:
         """Stop, STEP low, disconnect; idempotent."""
-        with self._changed:
-            self._closing = self._stopping = True
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(timeout=5)
-            self._thread = None
+        self._end_serving()
         if self._port is not None:
             self._port.close()
             self._port = None
@@ -107,10 +90,6 @@ class LegacyStage:
         """Call the present place zero."""
         self._start(self._zero)
 
-    def check_limit(self) -> None:
-        """Nothing to touch: says so."""
-        self._start(self._tell_moved)
-
     def begin_segment(self, segment: Segment, may_trigger_through: int) -> int:
         """Start a segment in step mode."""
         if segment.mode != "step":
@@ -124,29 +103,6 @@ class LegacyStage:
         self._start(lambda: self._shoot(segment))
         return first_id
 
-    def grant(self, may_trigger_through: int) -> None:
-        """Raise the absolute credit."""
-        with self._changed:
-            self._granted = max(self._granted, may_trigger_through)
-            self._changed.notify_all()
-
-    def hold(self) -> None:
-        """Hold before the next shot."""
-        with self._changed:
-            self._holding = True
-
-    def resume(self) -> None:
-        """Go on."""
-        with self._changed:
-            self._holding = False
-            self._changed.notify_all()
-
-    def stop(self) -> None:
-        """End the activity within a few steps."""
-        with self._changed:
-            self._stopping = self._activity is not None
-            self._changed.notify_all()
-
     def set_lamp(self, *, on: bool) -> None:
         """The original controller has no lamp output: it is switched by hand."""
 
@@ -155,60 +111,32 @@ class LegacyStage:
 
     # ---- activities, in the stage's thread ----
 
-    def _check_travel(self, position_steps: int) -> None:
-        low, high = self._config.travel_min_steps, self._config.travel_max_steps
-        if not low <= position_steps <= high:
-            raise CommandRefusedError(f"{position_steps} microsteps is outside the travel {low}..{high}")
+    def _ended_early(self, error: OSError | None) -> Stopped:
+        if error is None:
+            return Stopped(self._position, position_trusted=self._zeros > 0)
+        self._zeros = 0
+        return Stopped(self._position, position_trusted=False, reason=f"the port failed: {error}")
 
-    def _start(self, activity: Callable[[], None]) -> None:
-        with self._changed:
-            if self._thread is None:
-                raise CommandRefusedError("the stage is not open")
-            if self._activity is not None:
-                raise CommandRefusedError("the stage is moving: wait for it, or stop it")
-            self._holding = self._stopping = False
-            self._activity = activity
-            self._changed.notify_all()
+    def _moved(self, steps_lost: int | None = None) -> Moved:
+        return Moved(self._position, self._zeros > 0, self.status().zero_id, steps_lost)
 
-    def _serve(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closing or self._activity is not None)
-                activity = self._activity
-            if self._closing or activity is None:
-                return
-            try:
-                self._wait(self._ready_s - time.monotonic())
-                activity()
-            except _StopRequestedError:
-                self._idle()
-                self._sink(Stopped(self._position, position_trusted=self._zeros > 0))
-            except OSError as error:
-                self._zeros = 0
-                self._idle()
-                self._sink(Stopped(self._position, position_trusted=False, reason=f"the port failed: {error}"))
-
-    def _idle(self) -> None:
-        with self._changed:
-            self._activity = None
-            self._stopping = False
-
-    def _tell_moved(self) -> None:
-        self._idle()
-        self._sink(Moved(self._position, self._zeros > 0, self.status().zero_id))
+    def _touch(self) -> None:
+        """There is nothing to touch: the report says so."""
+        self._end_with(self._moved())
 
     def _move(self, position_steps: int) -> None:
         self._travel(position_steps)
-        self._tell_moved()
+        self._end_with(self._moved())
 
     def _zero(self) -> None:
         self._position = 0
         self._zeros += 1
-        self._tell_moved()
+        self._end_with(self._moved())
 
     def _travel(self, target_steps: int) -> None:
         """Write steps in small chunks, each given the time that its bytes take, so that a stop is obeyed soon."""
         assert self._port is not None
+        self._wait(self._ready_s - time.monotonic())
         outward = target_steps >= self._position
         if target_steps != self._position:
             self._port.write(OUTWARD if outward else INWARD)
@@ -219,37 +147,17 @@ class LegacyStage:
             self._wait(count * len(STEP_BYTES) * _BYTE_S)
 
     def _shoot(self, segment: Segment) -> None:
-        direction = 1 if segment.pitch_steps >= 0 else -1
-        low, high = self._config.travel_min_steps, self._config.travel_max_steps
-        self._travel(min(max(segment.first_steps - direction * segment.run_up_steps, low), high))
+        self._travel(self._run_up_from(segment.first_steps, segment.pitch_steps, segment.run_up_steps))
         for shot_index in range(segment.count):
             self._wait_for_credit(shot_index)
             self._travel(segment.first_steps + shot_index * segment.pitch_steps)
             self._wait(segment.settle_ms / 1000)
             self._shot(shot_index)
             self._wait(max(segment.dwell_ms, segment.period_ms) / 1000)
-        self._idle()
-        self._sink(SegmentDone(self._position))
+        self._end_with(SegmentDone(self._position))
 
     def _shot(self, shot_index: int) -> None:
         at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         self._sink(Triggered(trigger_id, shot_index, self._position, at_mono_ns=at_ns))
         self._fire()
-
-    def _wait_for_credit(self, shot_index: int) -> None:
-        with self._changed:
-            told = False
-            while not self._stopping and (self._holding or self._granted < shot_index):
-                if self._holding and not told:
-                    told = True
-                    self._sink(Held("requested", self._position))
-                self._changed.wait(timeout=1.0)
-        self._wait(0.0)
-
-    def _wait(self, duration_s: float) -> None:
-        with self._changed:
-            if duration_s > 0:
-                self._changed.wait_for(lambda: self._stopping, timeout=duration_s)
-            if self._stopping:
-                raise _StopRequestedError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 import uuid
 from collections.abc import Callable
@@ -11,8 +10,8 @@ from collections.abc import Callable
 from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 
+from .host_run import HostRunStage
 from .protocol import (
-    Held,
     Moved,
     Segment,
     SegmentDone,
@@ -23,55 +22,42 @@ from .protocol import (
     Triggered,
 )
 
-TriggerLine = Callable[[int, int], None]
-"""Called with (position in microsteps, CLOCK_MONOTONIC ns) at each trigger, after it was reported."""
+TriggerLine = Callable[[float, int, float], None]
+"""Called at each trigger, after it was reported, with the position at mid-exposure in microsteps, CLOCK_MONOTONIC in
+ns, and the way during the exposure in microsteps."""
 
 _SLICE_S = 0.02
 _SHORTEST_WAIT_S = 50e-6
 
 
-class _StopRequestedError(Exception):
-    """Unwinds the running activity."""
-
-
-class SimulatedStage:
+class SimulatedStage(HostRunStage):
     """A stage that is exact and homed from the start. ``time_scale`` shortens its motion, never its order."""
 
     def __init__(self, config: StageConfig, line: TriggerLine, *, time_scale: float = 1.0) -> None:
-        self._config = config
+        super().__init__(config, "simulated-stage")
         self._line = line
         self._time_scale = time_scale
-        self._changed = threading.Condition()
-        self._activity: Callable[[], None] | None = None
-        self._thread: threading.Thread | None = None
-        self._sink: StageSink = lambda _event: None
-        self._position = 0
         self._zero_id = uuid.uuid4().hex[:8]
-        self._triggers = 0
-        self._granted = -1
         self._lamp_on = False
-        self._holding = self._stopping = self._closing = False
         self._next_trigger_s = 0.0
 
     # ---- protocol ----
 
     def open(self, sink: StageSink) -> StageInfo:
         """Start the thread; events go to ``sink``."""
-        self._sink = sink
-        self._closing = False
-        self._thread = threading.Thread(target=self._serve, name="simulated-stage", daemon=True)
-        self._thread.start()
-        return StageInfo(kind="simulated", version="1", boot_id=uuid.uuid4().hex[:8], has_limit_switch=True)
+        self._begin_serving(sink)
+        return StageInfo(
+            kind="simulated",
+            version="1",
+            boot_id=uuid.uuid4().hex[:8],
+            has_limit_switch=True,
+            modes=("step", "fly"),
+        )
 
     def close(self) -> None:
         """End motion and thread; idempotent."""
-        with self._changed:
-            self._closing = self._stopping = True
-            self._lamp_on = False
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(timeout=5)
-            self._thread = None
+        self._end_serving()
+        self._lamp_on = False
 
     def status(self) -> StageStatus:
         """Where the stage is now."""
@@ -97,44 +83,17 @@ class SimulatedStage:
         """Call the present position zero."""
         self._start(self._zero)
 
-    def check_limit(self) -> None:
-        """Touch the limit again: a simulated stage loses no steps."""
-        self._start(self._touch)
-
     def begin_segment(self, segment: Segment, may_trigger_through: int) -> int:
-        """Start a segment in step mode; returns the trigger_id of its first shot."""
-        if segment.mode != "step":
-            raise CommandRefusedError("the simulated stage sweeps in step mode only: set sweep.mode = 'step'")
+        """Start a segment; returns the trigger_id of its first shot."""
+        if segment.mode == "fly":
+            self._check_speed(segment)
         self._check_travel(segment.first_steps)
         self._check_travel(segment.first_steps + (segment.count - 1) * segment.pitch_steps)
         first_id = self._triggers
         self._granted = may_trigger_through
-        self._start(lambda: self._shoot(segment))
+        shoot = self._fly if segment.mode == "fly" else self._shoot
+        self._start(lambda: shoot(segment))
         return first_id
-
-    def grant(self, may_trigger_through: int) -> None:
-        """Raise the absolute credit."""
-        with self._changed:
-            self._granted = max(self._granted, may_trigger_through)
-            self._changed.notify_all()
-
-    def hold(self) -> None:
-        """Hold before the next trigger."""
-        with self._changed:
-            self._holding = True
-            self._changed.notify_all()
-
-    def resume(self) -> None:
-        """Go on."""
-        with self._changed:
-            self._holding = False
-            self._changed.notify_all()
-
-    def stop(self) -> None:
-        """End the activity; nothing happens when there is none."""
-        with self._changed:
-            self._stopping = self._activity is not None
-            self._changed.notify_all()
 
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp."""
@@ -145,87 +104,76 @@ class SimulatedStage:
 
     # ---- activities, in the stage's thread ----
 
-    def _start(self, activity: Callable[[], None]) -> None:
-        with self._changed:
-            if self._thread is None:
-                raise CommandRefusedError("the stage is not open")
-            if self._activity is not None:
-                raise CommandRefusedError("the stage is moving: wait for it, or stop it")
-            self._holding = self._stopping = False
-            self._activity = activity
-            self._changed.notify_all()
+    def _ended_early(self, error: OSError | None) -> Stopped:
+        return Stopped(self._position, position_trusted=True)
 
-    def _serve(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closing or self._activity is not None)
-                activity = self._activity
-            if self._closing or activity is None:
-                return
-            try:
-                activity()
-            except _StopRequestedError:
-                self._idle()
-                self._sink(Stopped(self._position, position_trusted=True))
-
-    def _idle(self) -> None:
-        """Ready for the next activity before the last one is reported: the report may start it."""
-        with self._changed:
-            self._activity = None
-            self._stopping = False
+    def _moved(self, steps_lost: int | None = None) -> Moved:
+        return Moved(self._position, position_trusted=True, zero_id=self._zero_id, steps_lost=steps_lost)
 
     def _move_and_tell(self, position_steps: int) -> None:
         self._travel(position_steps)
-        self._tell_moved()
+        self._end_with(self._moved())
 
     def _home(self) -> None:
         self._travel(self._config.travel_min_steps)
         self._zero_id = uuid.uuid4().hex[:8]
-        self._tell_moved()
+        self._end_with(self._moved())
 
     def _zero(self) -> None:
         self._position = 0
         self._zero_id = uuid.uuid4().hex[:8]
-        self._tell_moved()
+        self._end_with(self._moved())
 
     def _touch(self) -> None:
         self._travel(self._config.travel_min_steps)
-        self._tell_moved(steps_lost=0)
-
-    def _tell_moved(self, steps_lost: int | None = None) -> None:
-        self._idle()
-        self._sink(Moved(self._position, position_trusted=True, zero_id=self._zero_id, steps_lost=steps_lost))
+        self._end_with(self._moved(steps_lost=0))
 
     def _shoot(self, segment: Segment) -> None:
-        direction = 1 if segment.pitch_steps >= 0 else -1
-        low, high = self._config.travel_min_steps, self._config.travel_max_steps
-        self._travel(min(max(segment.first_steps - direction * segment.run_up_steps, low), high))
+        self._travel(self._run_up_from(segment.first_steps, segment.pitch_steps, segment.run_up_steps))
         for shot_index in range(segment.count):
             self._travel(segment.first_steps + shot_index * segment.pitch_steps)
-            self._wait(segment.settle_ms / 1000)
+            self._wait(segment.settle_ms / 1000 * self._time_scale)
             self._wait_for_credit(shot_index)
+            self._sleep_until(self._next_trigger_s)
             self._fire(shot_index)
             self._next_trigger_s = time.monotonic() + segment.period_ms / 1000 * self._time_scale
-            self._wait(segment.dwell_ms / 1000)
-        self._idle()
-        self._sink(SegmentDone(self._position))
+            self._wait(segment.dwell_ms / 1000 * self._time_scale)
+        self._end_with(SegmentDone(self._position))
 
-    def _fire(self, shot_index: int) -> None:
+    def _fly(self, segment: Segment) -> None:
+        """Constant speed, a trigger at each place; what has no credit is approached again after a halt."""
+        period_s = segment.period_ms / 1000 * self._time_scale
+        travel_steps = segment.pitch_steps * segment.dwell_ms / segment.period_ms
+        next_s = None
+        for shot_index in range(segment.count):
+            place = segment.first_steps + shot_index * segment.pitch_steps
+            if next_s is None or not self._has_credit(shot_index):
+                self._wait_for_credit(shot_index, tell_no_credit=True)
+                self._travel(self._run_up_from(place, segment.pitch_steps, segment.run_up_steps))
+                next_s = time.monotonic() + period_s * segment.run_up_steps / abs(segment.pitch_steps)
+            self._sleep_until(next_s)
+            self._position = place
+            self._fire(shot_index, travel_steps)
+            next_s += period_s
+        self._end_with(SegmentDone(self._position))
+
+    def _check_speed(self, segment: Segment) -> None:
+        """A sweep on the fly goes by its period; refused where that is none or too fast."""
+        fastest = self._config.max_rate_steps_per_s
+        if segment.period_ms <= 0 or abs(segment.pitch_steps) * 1000 / segment.period_ms > fastest:
+            raise CommandRefusedError(
+                f"{abs(segment.pitch_steps)} microsteps every {segment.period_ms:g} ms are faster than "
+                f"stage.max_rate_steps_per_s = {fastest:g}: lower sweep.max_rate_hz"
+            )
+
+    def _fire(self, shot_index: int, travel_steps: float = 0.0) -> None:
+        """Report the trigger, then expose; on the fly the picture belongs to the place at mid-exposure."""
         at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         trigger_id, self._triggers = self._triggers, self._triggers + 1
-        self._sink(Triggered(trigger_id, shot_index, self._position, trigger_cycles=at_ns, at_mono_ns=at_ns))
-        self._line(self._position, at_ns)
-
-    def _wait_for_credit(self, shot_index: int) -> None:
-        """Wait for credit and for the end of a hold, then until the period since the last trigger is over."""
-        with self._changed:
-            told = False
-            while not self._stopping and (self._holding or self._granted < shot_index):
-                if self._holding and not told:
-                    told = True
-                    self._sink(Held("requested", self._position))
-                self._changed.wait(timeout=1.0)
-        self._sleep_until(self._next_trigger_s)
+        middle_steps = self._position + travel_steps / 2
+        middle_um = middle_steps * self._config.um_per_microstep if travel_steps else None
+        self._sink(Triggered(trigger_id, shot_index, self._position, at_ns, at_ns, middle_um))
+        self._line(middle_steps, at_ns, travel_steps)
 
     def _travel(self, target_steps: int) -> None:
         """Move at the profile's speed; a stop is obeyed within a slice."""
@@ -245,21 +193,7 @@ class SimulatedStage:
             return 2 * math.sqrt(distance_steps / acceleration)
         return rate / acceleration + distance_steps / rate
 
-    def _wait(self, duration_s: float) -> None:
-        self._sleep_until(time.monotonic() + duration_s * self._time_scale)
-
     def _sleep_until(self, deadline_s: float) -> None:
+        """Wait until then; what is shorter than the clock's grain is not waited for."""
         remaining_s = deadline_s - time.monotonic()
-        if remaining_s > _SHORTEST_WAIT_S:
-            with self._changed:
-                self._changed.wait_for(lambda: self._stopping, timeout=remaining_s)
-        self._raise_if_stopped()
-
-    def _raise_if_stopped(self) -> None:
-        if self._stopping:
-            raise _StopRequestedError
-
-    def _check_travel(self, position_steps: int) -> None:
-        low, high = self._config.travel_min_steps, self._config.travel_max_steps
-        if not low <= position_steps <= high:
-            raise CommandRefusedError(f"{position_steps} microsteps is outside the travel {low}..{high}")
+        self._wait(remaining_s if remaining_s > _SHORTEST_WAIT_S else 0.0)

@@ -16,7 +16,9 @@ class Rig:
     def __init__(self, time_scale=1e-4):
         self.events = queue.Queue()
         self.line = []
-        self.stage = SimulatedStage(StageConfig(), lambda at, _ns: self.line.append(at), time_scale=time_scale)
+        self.stage = SimulatedStage(
+            StageConfig(), lambda at, _ns, way: self.line.append((at, way)), time_scale=time_scale
+        )
         self.stage.open(self.events.put)
 
     def next(self, timeout_s=5.0):
@@ -44,7 +46,7 @@ def test_a_segment_fires_at_each_place_and_says_so_in_order(rig):
         (first_id + j, j, 30 + 3 * j) for j in range(4)
     ]
     assert events[4] == SegmentDone(39)
-    assert rig.line == [30, 33, 36, 39]
+    assert rig.line == [(30, 0), (33, 0), (36, 0), (39, 0)]
 
 
 def test_triggers_are_counted_on_over_segments(rig):
@@ -127,3 +129,32 @@ def test_one_activity_at_a_time(slow_rig):
         slow_rig.stage.move_to(0)
     slow_rig.stage.stop()
     slow_rig.next()
+
+
+def test_a_sweep_on_the_fly_exposes_half_a_way_further_and_says_so(rig):
+    rig.stage.begin_segment(Segment(30, 3, 3, "fly", dwell_ms=20.0, period_ms=60.0, run_up_steps=6), 2)
+    events = [rig.next() for _ in range(3)]
+    assert [event.position_steps for event in events] == [30, 33, 36]
+    assert [event.position_um for event in events] == pytest.approx([3.175 * (place + 0.5) for place in (30, 33, 36)])
+    assert rig.next() == SegmentDone(36)
+    assert rig.line == pytest.approx([(30.5, 1.0), (33.5, 1.0), (36.5, 1.0)])
+
+
+def test_a_sweep_on_the_fly_backward_exposes_on_the_other_side(rig):
+    rig.stage.begin_segment(Segment(30, -3, 2, "fly", dwell_ms=20.0, period_ms=60.0), 1)
+    assert rig.next().position_um == pytest.approx(3.175 * 29.5)
+
+
+def test_no_credit_on_the_fly_is_told_as_a_hold_and_each_place_is_still_fired_once(rig):
+    rig.stage.begin_segment(Segment(0, 3, 3, "fly", dwell_ms=20.0, period_ms=60.0, run_up_steps=6), 0)
+    assert rig.next().shot_index == 0
+    assert rig.next() == Held("no credit", 0)
+    rig.stage.grant(2)
+    assert [rig.next().shot_index for _ in range(2)] == [1, 2]
+    assert rig.next() == SegmentDone(6)
+
+
+def test_a_sweep_on_the_fly_faster_than_the_stage_is_refused(rig):
+    with pytest.raises(CommandRefusedError, match="max_rate_hz"):
+        rig.stage.begin_segment(Segment(0, 30, 3, "fly", period_ms=10.0), 2)
+    assert not rig.stage.status().moving
