@@ -24,6 +24,8 @@ from acquire.contract.layout import (
     CREATING_PREFIX,
     FRAME_FIELDS,
     LAYOUT_VERSION,
+    MEASURED,
+    MEASURED_BYTES,
     PROGRAM_NAME,
     SCALARS,
 )
@@ -182,6 +184,7 @@ def _write_entry(file: h5py.File, recipe: ScanRecipe) -> None:
     for name, kind in SCALARS.items():
         value: Any = Outcome.RUNNING.encode() if name == "outcome" else b"" if kind.startswith("|S") else 0
         entry.create_dataset(name, data=np.array(value, dtype=kind))
+    entry.create_dataset(MEASURED, data=np.array(b"", dtype=f"|S{MEASURED_BYTES}"))
     for name, text in recipe.verbatim.items():
         _set(_fixed_bytes(entry, name, text), sha256=hashlib.sha256(text).hexdigest())
     entry.create_dataset("bit_depth", data=np.uint8(recipe.format.bit_depth))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -232,8 +233,10 @@ class ScanFile(ScanStore):
             raise ScanFileError(f"{self.path} cannot be marked as {outcome}: that is what sealing is for")
         self._put_outcome(outcome, reason)
 
-    def seal(self, outcome: Outcome, reason: str = "") -> Seal:
+    def seal(self, outcome: Outcome, reason: str = "", measured: Mapping[str, float] | None = None) -> Seal:
         """Verify every frame, write how the scan ended, press all onto the disk, give the file its last name.
+
+        ``measured`` is what was found around the sweep, by its name in the ``end`` message.
 
         Sealing again with the same outcome does nothing.
 
@@ -251,6 +254,7 @@ class ScanFile(ScanStore):
         if outcome == Outcome.COMPLETE and missing:
             raise ScanIncompleteError(self.path, missing)
         seal = Seal(self._sealed_path, outcome, self.committed_count, missing, self._put_digest())
+        self._put_measured(measured or {})
         self._put_outcome(outcome, reason)
         self.sync()
         self._rename()

@@ -226,7 +226,9 @@ class ScanSession:
         if scan is None or self._disk.busy:
             return
         outcome = Outcome(scan.outcome) if scan.sealed else end.outcome
-        self._disk.submit(lambda: scan.seal(outcome, end.reason), lambda done: self._sealed(scan, end, done))
+        self._disk.submit(
+            lambda: scan.seal(outcome, end.reason, end.checks), lambda done: self._sealed(scan, end, done)
+        )
 
     def _sealed(self, scan: ScanFile, end: End, done: Future[Any]) -> None:
         self._ending = None

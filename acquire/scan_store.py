@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, Literal
@@ -13,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.layout import FRAME_FIELDS, OUTCOME_BYTES, REASON_BYTES, FrameStatus
+from acquire.contract.layout import FRAME_FIELDS, MEASURED, MEASURED_BYTES, OUTCOME_BYTES, REASON_BYTES, FrameStatus
 from acquire.contract.messages import Image
 from acquire.contract.outcome import frame_crc32
 from acquire.contract.scan_reader import ScanLayout, ScanReader, read_layout
@@ -139,6 +141,13 @@ class ScanStore:
             self._put_text("reason", reason, REASON_BYTES)
             self._put_text("outcome", outcome.value, OUTCOME_BYTES)
         self.outcome = outcome.value
+
+    def _put_measured(self, measured: Mapping[str, float]) -> None:
+        """Whole or not at all: JSON that is cut says nothing."""
+        raw = json.dumps({name: value for name, value in measured.items() if math.isfinite(value)})
+        if MEASURED in self.layout.regions and len(raw) <= MEASURED_BYTES:
+            with self._disk("write what was measured in"):
+                self._put_text(MEASURED, raw, MEASURED_BYTES)
 
     def _get(self, region: str, index: int) -> int:
         place = self.layout.regions[region]

@@ -111,6 +111,8 @@ class ScanInfo(msgspec.Struct, frozen=True):
     checks: list[str]
     """Which of the dark, ambient and repeated frames are there."""
     size_bytes: int
+    measured: dict[str, float]
+    """What was measured around the sweep, by name: drift_px, brightness_change, steps_lost where they are known."""
 
     def words(self) -> list[str]:
         """Lines for people."""
@@ -124,6 +126,7 @@ class ScanInfo(msgspec.Struct, frozen=True):
             f"calibration: {'in the file' if self.has_calibration else 'none in the file'}",
             f"check frames: {', '.join(self.checks) or 'none'}",
         ]
+        lines += [f"measured {name}: {value:g}" for name, value in self.measured.items()]
         lines += [f"{key}: {_plain(value)}" for key, value in self.user.items() if value]
         lines += [f"plan {key}: {value}" for key, value in self.plan.items()]
         return lines
@@ -207,6 +210,7 @@ def info(scan: Path) -> ScanInfo:
             has_calibration=bool(layout.verbatim["calibration"].strip()),
             checks=[role for role in CHECK_ROLES if reader.check_frame(role) is not None],
             size_bytes=layout.path.stat().st_size,
+            measured=reader.measured,
         )
 
 

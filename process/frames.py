@@ -70,6 +70,11 @@ class ScanFrames:
         """As it is now; ``running`` until the writer seals."""
         return self._reader.outcome
 
+    @property
+    def measured(self) -> dict[str, float]:
+        """What was measured around the sweep; empty until it was sealed, and in scans of earlier versions."""
+        return self._reader.measured
+
     def usable(self) -> NDArray[np.bool_]:
         """Frames that are committed and good now, [n]."""
         return self._reader.present()

@@ -30,6 +30,7 @@ from .quality import Quality
 from .report import (
     Report,
     SweepChecks,
+    checks_of,
     contrast_histogram,
     read_report,
     sweep_speed,
@@ -270,7 +271,9 @@ def _no_cloud(settings: Settings, cloud: Cloud | None, paths: ResultPaths) -> li
 
 
 def _earlier_checks(frames: ScanFrames, digest: str) -> SweepChecks:
-    """What the rig measured around this sweep stands only in the report that was made then: it is carried over."""
+    """What the rig measured around this sweep: from the scan; of older scans, from the report that was made then."""
+    if found := frames.measured:
+        return checks_of(found)
     try:
         report = read_report(ResultPaths(frames.layout.path.parent).report)
     except ScanFileError:

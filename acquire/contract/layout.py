@@ -36,6 +36,7 @@ FRAME_FIELDS: Final[dict[str, str]] = {
 OUTCOME_BYTES: Final = 16
 REASON_BYTES: Final = 512
 DIGEST_BYTES: Final = 64
+MEASURED_BYTES: Final = 2048
 SCALARS: Final[dict[str, str]] = {
     "outcome": f"|S{OUTCOME_BYTES}",
     "reason": f"|S{REASON_BYTES}",
@@ -44,6 +45,9 @@ SCALARS: Final[dict[str, str]] = {
     "digest": f"|S{DIGEST_BYTES}",
 }
 """Scalars under /entry that change while the scan runs, made beforehand, written at their offsets."""
+
+MEASURED: Final = "measured"
+"""Optional fixed bytes under /entry: what was measured around the sweep (``End.checks``), JSON; empty until sealed."""
 
 VERBATIM: Final = ("config", "calibration", "plan", "user")
 """Fixed bytes under /entry that never change; each has an attribute ``sha256``."""

@@ -24,6 +24,7 @@ from .layout import (
     DATA,
     FRAME_FIELDS,
     LAYOUT_VERSION,
+    MEASURED,
     SCALARS,
     SEALED_NAME,
     VERBATIM,
@@ -154,6 +155,8 @@ def _layout_of(path: Path, file: h5py.File) -> ScanLayout:
     regions = {"data": _region(data)}
     regions |= {name: _region(entry[f"data/{name}"]) for name in FRAME_FIELDS}
     regions |= {name: _region(entry[name]) for name in SCALARS}
+    if MEASURED in entry:
+        regions[MEASURED] = _region(entry[MEASURED])
     if "checks" in entry:
         regions |= {
             name.removeprefix("/entry/"): _region(file[name]) for name in (CHECKS_DATA, CHECKS_STATUS, CHECKS_CRC32)
@@ -247,6 +250,16 @@ class ScanReader:
         if region.dtype.kind == "S":
             return raw.rstrip(b"\0").decode("utf-8", "replace")
         return int(np.frombuffer(raw, dtype=region.dtype)[0])
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """What was measured around the sweep, by its name in the ``end`` message; empty before it was sealed."""
+        if MEASURED not in self.layout.regions:
+            return {}
+        try:
+            return msgspec.json.decode(str(self.scalar(MEASURED)) or "{}", type=dict[str, float])
+        except msgspec.MsgspecError:
+            return {}
 
     @property
     def outcome(self) -> str:

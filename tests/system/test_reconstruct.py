@@ -58,7 +58,7 @@ def make_scan(tmp_path: Path) -> MakeScan:
             )
             file.write_frame(image, frames[k])
         if outcome is not None:
-            file.seal(outcome)
+            file.seal(outcome, measured={"drift_px": 0.25})
         file.close()
         return folder
 
@@ -81,6 +81,10 @@ def test_maps_are_bit_for_bit_those_of_a_two_pass_reference(make_scan):
         assert np.array_equal(found[name], array, equal_nan=array.dtype.kind == "f"), name
     whole = np.isfinite(found["crossing"]) & ((found["quality"] & (1 | 2 | 128)) == 0)
     assert summary.complete and summary.points == whole.sum()
+
+
+def test_what_the_rig_measured_around_the_sweep_comes_from_the_scan_itself(make_scan):
+    assert reconstruct(make_scan()).results.report.sweep.drift_px == 0.25
 
 
 @pytest.mark.parametrize("colour", [False, True])

@@ -359,6 +359,22 @@ def test_a_complete_scan_is_sealed_under_its_last_name_with_its_digest(scan: Sca
         assert reader.scalar("durable_count") == COUNT
 
 
+def test_what_was_measured_around_the_sweep_is_in_the_sealed_file(scan: ScanFile, start: Start) -> None:
+    fill(scan, start)
+    scan.seal(Outcome.COMPLETE, "", {"drift_px": 0.25, "steps_lost": 0.0, "brightness_change": float("nan")})
+    with ScanReader(Path(start.path)) as reader:
+        assert reader.measured == {"drift_px": 0.25, "steps_lost": 0.0}
+
+
+def test_measurements_that_do_not_fit_are_left_out_whole_and_do_not_keep_a_scan_from_being_sealed(
+    scan: ScanFile, start: Start
+) -> None:
+    fill(scan, start)
+    assert scan.seal(Outcome.COMPLETE, "", {f"{k:0100d}": 1.0 for k in range(100)}).committed == COUNT
+    with ScanReader(Path(start.path)) as reader:
+        assert reader.measured == {}
+
+
 def test_sealing_again_says_the_same(scan: ScanFile, start: Start) -> None:
     fill(scan, start)
     seal = scan.seal(Outcome.COMPLETE)
