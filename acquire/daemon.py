@@ -82,7 +82,7 @@ class Daemon:
         self.settings = self.rig.camera.configure(
             CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
         )
-        self.stage_info = self.rig.stage.open(self._inbox.put)
+        self.stage_info = self.rig.open_stage(self._inbox.put)
         # who finds this lane finds a rig that answers: nothing said to it waits for devices to open
         self._commands = Sender(bind(self._context, zmq.ROUTER, self._run_dir, "command"))
         self.enter(State.IDLE)

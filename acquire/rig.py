@@ -7,12 +7,17 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from acquire.cameras.protocol import Camera
+import msgspec
+
+from acquire.cameras.protocol import Camera, HostFiredCamera
 from acquire.contract.config_model import RigConfig
 from acquire.contract.errors import ConfigError
 from acquire.contract.layout import TRUTH_NAME
 from acquire.contract.plan import SweepPlan
-from acquire.stages.protocol import Stage
+from acquire.stages.protocol import Stage, StageEvent, StageInfo, StageSink, Triggered
+
+HOST_TRIGGER = "host"
+"""``camera.trigger`` of a camera that runs freely."""
 
 
 @dataclass
@@ -30,9 +35,30 @@ class Rig:
         """Write what is really there beside the scan, in a thread; None for a real rig."""
         return None
 
+    def open_stage(self, sink: StageSink) -> StageInfo:
+        """Connect the stage; its events go to ``sink``."""
+        return self.stage.open(sink)
+
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp."""
         self.stage.set_lamp(on=on)
+
+
+@dataclass
+class HostFiredRig(Rig):
+    """A camera without a trigger input: the host passes each shot on to it, so the stage must stand still."""
+
+    camera: HostFiredCamera
+
+    def open_stage(self, sink: StageSink) -> StageInfo:
+        """Connect the stage; each trigger that it reports goes to the camera as well."""
+
+        def tell(event: StageEvent) -> None:
+            sink(event)
+            if isinstance(event, Triggered):
+                self.camera.fire(event.at_mono_ns, event.position_steps)
+
+        return msgspec.structs.replace(self.stage.open(tell), modes=("step",))
 
 
 class SimulatedRig(Rig):
@@ -83,15 +109,53 @@ def build_rig(config: RigConfig) -> Rig:
     """The rig that the configuration names.
 
     Raises:
-        ConfigError: a driver that this version does not have.
+        ConfigError: devices that cannot work together.
     """
-    if config.stage.kind == "simulated" and config.camera.kind == "simulated":
+    stage, camera = config.stage, config.camera
+    if camera.kind == "simulated" and stage.kind == "simulated":
         return SimulatedRig(config)
-    if config.stage.kind == "uno" and config.stage.port == "emulator" and config.camera.kind == "simulated":
+    if camera.kind == "simulated" and stage.kind == "uno" and stage.port == "emulator":
         from .twin import TwinRig  # noqa: PLC0415 - it needs the AVR tools
 
         return TwinRig(config)
-    raise ConfigError(
-        f"no driver for stage.kind = '{config.stage.kind}' with camera.kind = '{config.camera.kind}' "
-        "in this version: set both to 'simulated'"
-    )
+    if camera.kind == "simulated":
+        raise ConfigError("a simulated camera sees no real stage: set camera.kind to your camera's, or 'replay'")
+    if camera.kind in ("uvc", "replay") or camera.trigger == HOST_TRIGGER:
+        return HostFiredRig(_stage(config), _host_fired(config))
+    if stage.kind != "uno":
+        raise ConfigError(
+            f"a {stage.kind} stage has no TRIGGER wire: set camera.trigger = '{HOST_TRIGGER}', or use the Uno"
+        )
+    from .cameras.genicam import GenicamCamera  # noqa: PLC0415 - it loads the camera makers' libraries
+
+    return Rig(_stage(config), GenicamCamera(camera))
+
+
+def _stage(config: RigConfig) -> Stage:
+    if config.stage.kind == "uno":
+        from .stages.uno import UnoStage  # noqa: PLC0415 - only the chosen driver is loaded
+
+        return UnoStage(config.stage)
+    if config.stage.kind == "legacy":
+        from .stages.legacy import LegacyStage  # noqa: PLC0415
+
+        return LegacyStage(config.stage)
+    from .stages.simulated import SimulatedStage  # noqa: PLC0415
+
+    return SimulatedStage(config.stage, lambda *_shot: None, time_scale=config.simulation.time_scale)
+
+
+def _host_fired(config: RigConfig) -> HostFiredCamera:
+    if config.camera.kind == "replay":
+        from .cameras.replay import ReplayCamera  # noqa: PLC0415
+
+        return ReplayCamera(config)
+    from .cameras.free_running import FreeRunningCamera  # noqa: PLC0415
+
+    if config.camera.kind == "uvc":
+        from .cameras.uvc import UvcSource  # noqa: PLC0415
+
+        return FreeRunningCamera(UvcSource(config.camera))
+    from .cameras.genicam import GenicamDevice  # noqa: PLC0415
+
+    return FreeRunningCamera(GenicamDevice(config.camera))

@@ -68,7 +68,7 @@ class SettleMeasurement:
         self._rig.camera.open(lambda found: self._frames.put(found) if isinstance(found, CameraFrame) else None)
         try:
             self._rig.camera.configure(CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent))
-            self._rig.stage.open(self._events.put)
+            self._rig.open_stage(self._events.put)
             try:
                 return self._measure()
             finally:

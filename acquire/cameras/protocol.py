@@ -27,6 +27,8 @@ class CameraInfo(msgspec.Struct, frozen=True):
     format: FrameFormat
     counts_frames: bool = True
     """False: ids are made up by the driver; a lost frame is only noticed by its absence."""
+    limits: dict[str, tuple[float, float]] = {}
+    """[lowest, highest] of each of :class:`CameraSettings` by name; what is not named here has no known limit."""
 
 
 @dataclass(frozen=True)
@@ -78,4 +80,12 @@ class Camera(Protocol):
 
     def snap(self) -> None:
         """Take one frame now by software (preview, dark frame); it comes to the sink like any other."""
+        ...
+
+
+class HostFiredCamera(Camera, Protocol):
+    """A camera without a trigger input: the host tells it of each shot, once the stage stands still."""
+
+    def fire(self, at_ns: int, position_steps: int) -> None:
+        """A shot at ``position_steps`` (microsteps) at ``at_ns`` (CLOCK_MONOTONIC); its frame began after it."""
         ...

@@ -54,7 +54,14 @@ class CameraConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The camera and its settings at the start of a scan."""
 
     kind: Literal["simulated", "replay", "genicam", "uvc"] = "simulated"
-    """Which camera driver is used."""
+    """Which camera driver is used; ``replay`` shows the pictures of a folder or a scan again."""
+    device: Annotated[str, Meta(max_length=4096)] = ""
+    """``genicam``: the serial number, ``uvc``: /dev/videoN, ``replay``: the folder or the scan; empty: the only one."""
+    producer: Annotated[str, Meta(max_length=4096)] = ""
+    """``genicam``: the maker's GenTL producer (.cti); empty: those in GENICAM_GENTL64_PATH."""
+    trigger: Annotated[str, Meta(min_length=1, max_length=64)] = "Line1"
+    """``genicam``: the input that the TRIGGER wire goes to; ``host``: the camera runs freely and the host picks the
+    first frame that began after the stage stood still (always so for ``uvc`` and ``replay``; step mode only)."""
     width: Annotated[int, Meta(ge=16, le=16_384)] = 1024
     """Pixels per row."""
     height: Annotated[int, Meta(ge=16, le=16_384)] = 768

@@ -28,7 +28,7 @@ OUTWARD, INWARD = b"2", b"3"
 
 
 class LegacyStage(HostRunStage):
-    """Steps by bytes. ``fire`` is called at each shot: the camera must be triggered by the host.
+    """Steps by bytes. It has no TRIGGER wire: the host passes each shot on to the camera.
 
     The position is trusted only from ``zero_here`` until the port is closed: nobody can tell whether the controller
     restarted or a step was lost.
@@ -37,13 +37,11 @@ class LegacyStage(HostRunStage):
     def __init__(
         self,
         config: StageConfig,
-        fire: Callable[[], None],
         *,
         opener: Callable[[], serial.Serial] | None = None,
         dead_time_s: float = _DEAD_S,
     ) -> None:
         super().__init__(config, "legacy-stage")
-        self._fire = fire
         self._opener = opener or (lambda: open_port(choose_port(config.port), BAUD))
         self._dead_time_s = dead_time_s
         self._port: serial.Serial | None = None
@@ -160,4 +158,3 @@ class LegacyStage(HostRunStage):
         at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         self._sink(Triggered(trigger_id, shot_index, self._position, at_mono_ns=at_ns))
-        self._fire()

@@ -1,0 +1,147 @@
+"""A camera without a trigger input: it runs freely, and the host picks the first frame that began after a shot.
+
+Nothing is counted by hardware here, and the driver says so: a frame is proven by time alone, which is why the stage
+must stand still (step mode).
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from acquire.contract.errors import SweepscopeError
+from acquire.contract.messages import FrameFormat
+from acquire.contract.units import NS_PER_MS
+
+from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
+
+logger = logging.getLogger(__name__)
+_JOIN_S = 10.0
+_MOST_WAITING = 64
+"""Shots that may wait for their frame; a sweep in step mode has one."""
+
+
+class FrameSource(Protocol):
+    """Something that delivers one picture after the other."""
+
+    kind: str
+
+    def open(self) -> FrameFormat:
+        """Connect and start.
+
+        Raises:
+            SweepscopeError: it is not there, or delivers what cannot be stored.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop and disconnect; idempotent, never raises."""
+        ...
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; returns what is really used."""
+        ...
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """[lowest, highest] of each setting that has bounds."""
+        ...
+
+    def grab(self) -> NDArray[Any]:
+        """The next picture ([h, w] or [h, w, 3] RGB, the caller's own), waiting for it.
+
+        Raises:
+            SweepscopeError: no picture comes any more.
+        """
+        ...
+
+
+class FreeRunningCamera:
+    """Reads a source in a thread of its own, so that no old picture waits in a buffer."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self._sink: CameraSink = lambda _event: None
+        self._waiting: deque[int] = deque(maxlen=_MOST_WAITING)
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._armed = False
+        self._frame_id = 0
+        self._exposure_ns = 0
+
+    def open(self, sink: CameraSink) -> CameraInfo:
+        """Connect the source and read on."""
+        self._sink = sink
+        self._ending.clear()
+        frame_format = self._source.open()
+        self._thread = threading.Thread(target=self._serve, name=f"{self._source.kind}-camera", daemon=True)
+        self._thread.start()
+        limits = self._source.limits()
+        return CameraInfo(kind=self._source.kind, format=frame_format, counts_frames=False, limits=limits)
+
+    def close(self) -> None:
+        """Stop reading, disconnect; idempotent."""
+        self._armed = False
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join(timeout=_JOIN_S)
+            self._thread = None
+        self._source.close()
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; returns what the camera really uses."""
+        used = self._source.configure(settings)
+        self._exposure_ns = round(used.exposure_ms * NS_PER_MS)
+        return used
+
+    def arm(self) -> None:
+        """Deliver a frame for each shot from now on; what was asked for before is forgotten."""
+        with self._lock:
+            self._waiting.clear()
+            self._armed = True
+
+    def disarm(self) -> None:
+        """Deliver nothing any more."""
+        with self._lock:
+            self._waiting.clear()
+            self._armed = False
+
+    def snap(self) -> None:
+        """One frame that begins from now on."""
+        self._want(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+
+    def fire(self, at_ns: int, position_steps: int) -> None:
+        """The stage stands still since ``at_ns`` (CLOCK_MONOTONIC): deliver a frame that began after it."""
+        if self._armed:
+            self._want(at_ns)
+
+    def _want(self, at_ns: int) -> None:
+        with self._lock:
+            self._waiting.append(at_ns)
+
+    def _serve(self) -> None:
+        began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        while not self._ending.is_set():
+            try:
+                pixels = self._source.grab()
+            except SweepscopeError as error:
+                logger.error("the camera delivers nothing any more: %s", error)
+                self._sink(CameraGone(str(error)))
+                return
+            self._deliver(pixels, began_after_ns)
+            began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+
+    def _deliver(self, pixels: NDArray[Any], began_after_ns: int) -> None:
+        """A picture that came after the one before may have begun to expose one exposure before that one's arrival."""
+        surely_from_ns = began_after_ns - self._exposure_ns
+        with self._lock:
+            if not self._waiting or self._waiting[0] > surely_from_ns:
+                return
+            at_ns = self._waiting.popleft()
+            frame_id, self._frame_id = self._frame_id, self._frame_id + 1
+        self._sink(CameraFrame(pixels, frame_id, max(at_ns, surely_from_ns)))

@@ -1,0 +1,326 @@
+"""A GenICam camera (GigE Vision, USB3 Vision) through its maker's GenTL producer: triggered by the wire, ids counted.
+
+Feature names are those of the Standard Features Naming Convention (SFNC); a camera that lacks one keeps its own value,
+and one without a trigger input can only run freely (``camera.trigger = "host"``).
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from genicam.genapi import GenericException as GenApiError
+from genicam.gentl import GenericException as GenTLError
+from harvesters.core import Harvester
+from numpy.typing import NDArray
+
+from acquire.contract.config_model import CameraConfig
+from acquire.contract.errors import ConfigError, SweepscopeError
+from acquire.contract.messages import FrameFormat
+
+from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
+
+logger = logging.getLogger(__name__)
+
+FORMATS: Final[dict[str, tuple[int, str]]] = {
+    "Mono8": (8, "mono"),
+    "Mono10": (10, "mono"),
+    "Mono12": (12, "mono"),
+    "Mono16": (16, "mono"),
+    "RGB8": (8, "rgb"),
+    "RGBa8": (8, "rgb"),
+    "BayerRG8": (8, "bayer_rggb"),
+    "BayerBG8": (8, "bayer_bggr"),
+    "BayerGR8": (8, "bayer_grbg"),
+    "BayerGB8": (8, "bayer_gbrg"),
+    "BayerRG12": (12, "bayer_rggb"),
+}
+"""Pixel formats (PFNC names) that scans can store, with bit depth and our name."""
+
+_ERRORS: Final = (GenApiError, GenTLError, RuntimeError, OSError, ValueError)
+"""What the camera makers' libraries raise."""
+_PATH = "GENICAM_GENTL64_PATH"
+_FETCH_S = 0.1
+_JOIN_S = 5.0
+_GRAB_S = 5.0
+_US_PER_MS = 1000.0
+
+
+class GenicamDevice:
+    """One camera behind a producer: features and buffers. Also a source of pictures for a camera that runs freely."""
+
+    kind = "genicam"
+
+    def __init__(self, config: CameraConfig) -> None:
+        self._config = config
+        self._harvester: Harvester | None = None
+        self._acquirer: Any = None
+        self._own_id = 0
+        self.format = FrameFormat(config.width, config.height, 8)
+        self.counts_frames = True
+
+    # ---- life ----
+
+    def open(self, trigger: str = "") -> FrameFormat:
+        """Connect, set size and trigger input, start the stream.
+
+        Args:
+            trigger: the input line; empty: run freely.
+
+        Raises:
+            ConfigError: no producer, no such camera, no trigger input, or a format that scans cannot store.
+        """
+        self._harvester = harvester = Harvester()
+        for producer in _producers(self._config.producer):
+            harvester.add_file(str(producer))
+        harvester.update()
+        try:
+            self._acquirer = harvester.create(self._chosen(harvester))
+            self._set_up(trigger)
+            self._acquirer.start()
+        except BaseException:
+            self.close()
+            raise
+        return self.format
+
+    def _chosen(self, harvester: Harvester) -> int:
+        found = [str(info.serial_number) for info in harvester.device_info_list]
+        wanted = self._config.device
+        if not wanted and len(found) == 1:
+            return 0
+        if wanted in found:
+            return found.index(wanted)
+        seen = f"there are {', '.join(found)}" if found else "there is none"
+        raise ConfigError(
+            f"no camera with serial number {wanted}: {seen}; set camera.device"
+            if wanted
+            else f"camera.device must name one camera by its serial number: {seen}"
+        )
+
+    def _set_up(self, trigger: str) -> None:
+        self._set("Width", self._config.width)
+        self._set("Height", self._config.height)
+        self._set("AcquisitionMode", "Continuous")
+        if trigger:
+            self._set("TriggerSelector", "FrameStart")
+            if not (self._set("TriggerSource", trigger) and self._set("TriggerMode", "On")):
+                raise ConfigError(
+                    f"the camera has no trigger input {trigger}: set camera.trigger to one that it has, "
+                    "or to 'host' for a camera that runs freely"
+                )
+        else:
+            self._set("TriggerMode", "Off")
+        self.format = self._format()
+
+    def _format(self) -> FrameFormat:
+        name = str(self._get("PixelFormat"))
+        if name not in FORMATS:
+            raise ConfigError(f"the camera delivers {name}; scans can store {', '.join(FORMATS)}: set another there")
+        width, height = int(self._get("Width")), int(self._get("Height"))
+        if (width, height) != (self._config.width, self._config.height):
+            raise ConfigError(
+                f"the camera delivers {width} x {height}, not {self._config.width} x {self._config.height}: "
+                "set camera.width and camera.height to what it has"
+            )
+        bit_depth, pixel_format = FORMATS[name]
+        return FrameFormat(width, height, bit_depth, pixel_format)  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        """Stop the stream and let go of the camera; idempotent, never raises."""
+        acquirer, self._acquirer = self._acquirer, None
+        harvester, self._harvester = self._harvester, None
+        for step in (acquirer and acquirer.stop, acquirer and acquirer.destroy, harvester and harvester.reset):
+            if step:
+                try:
+                    step()
+                except _ERRORS as error:
+                    logger.warning("a step of closing the camera failed: %s", error)
+
+    # ---- features ----
+
+    def _node(self, name: str) -> Any:
+        nodes = self._acquirer.remote_device.node_map
+        return getattr(nodes, name) if nodes.has_node(name) else None
+
+    def _get(self, name: str) -> Any:
+        node = self._node(name)
+        return None if node is None else node.value
+
+    def _set(self, name: str, value: Any) -> bool:
+        """Set a feature; False if the camera does not have it or does not take the value."""
+        node = self._node(name)
+        if node is None:
+            return False
+        with suppress(*_ERRORS):
+            node.value = value
+        try:
+            return bool(node.value == value) or isinstance(value, float)
+        except _ERRORS:
+            return False
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """ExposureTime (us), Gain (dB) and BlackLevel, within the camera's limits; what it took is read back."""
+        limits = self.limits()
+        wanted = {name: getattr(settings, name) for name in CameraSettings.__struct_fields__}
+        clipped = {
+            name: min(max(value, limits[name][0]), limits[name][1]) if name in limits else value
+            for name, value in wanted.items()
+        }
+        self._set("ExposureAuto", "Off")
+        self._set("GainAuto", "Off")
+        self._set("ExposureTime", clipped["exposure_ms"] * _US_PER_MS)
+        self._set("Gain", float(clipped["gain"]))
+        self._set("BlackLevel", float(clipped["brightness_percent"]))
+        exposure_us, gain = self._get("ExposureTime"), self._get("Gain")
+        return CameraSettings(
+            clipped["exposure_ms"] if exposure_us is None else float(exposure_us) / _US_PER_MS,
+            clipped["gain"] if gain is None else float(gain),
+            clipped["brightness_percent"],
+        )
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """[lowest, highest] of the settings that the camera bounds."""
+        found = {}
+        for name, feature, unit in (
+            ("exposure_ms", "ExposureTime", _US_PER_MS),
+            ("gain", "Gain", 1.0),
+            ("brightness_percent", "BlackLevel", 1.0),
+        ):
+            node = self._node(feature)
+            if node is not None:
+                found[name] = (float(node.min) / unit, float(node.max) / unit)
+        return found
+
+    def trigger_by_software(self, line: str) -> None:
+        """One exposure now, then back to ``line``."""
+        self._set("TriggerSource", "Software")
+        command = self._node("TriggerSoftware")
+        if command is not None:
+            command.execute()
+        self._set("TriggerSource", line)
+
+    # ---- pictures ----
+
+    def fetch(self, timeout_s: float) -> CameraFrame | None:
+        """The next complete picture with its id, or None in ``timeout_s``; harvesters passes over incomplete ones."""
+        buffer = self._acquirer.try_fetch(timeout=timeout_s)
+        if buffer is None:
+            return None
+        try:
+            pixels = self._pixels(buffer.payload.components[0])
+            # when it was exposed is not known on the host's clock: ids decide
+            return CameraFrame(pixels, self._frame_id(buffer), exposure_start_ns=0)
+        finally:
+            buffer.queue()
+
+    def _pixels(self, part: Any) -> NDArray[Any]:
+        channels = int(round(part.num_components_per_pixel))
+        shape = (part.height, part.width) if channels == 1 else (part.height, part.width, channels)
+        pixels = part.data.reshape(shape)
+        return np.array(pixels[..., :3] if channels > 1 else pixels, order="C")
+
+    def _frame_id(self, buffer: Any) -> int:
+        self._own_id += 1
+        try:
+            return int(buffer.module.frame_id)
+        except GenTLError:
+            self.counts_frames = False
+            return self._own_id
+
+    def grab(self) -> NDArray[Any]:
+        """The next picture of a camera that runs freely.
+
+        Raises:
+            SweepscopeError: none comes.
+        """
+        deadline_s = time.monotonic() + _GRAB_S
+        while time.monotonic() < deadline_s:
+            frame = self.fetch(_FETCH_S)
+            if frame is not None:
+                return frame.pixels
+        raise SweepscopeError(f"the camera has sent no picture for {_GRAB_S:.0f} s: look at its cable and its power")
+
+
+class GenicamCamera:
+    """One frame for each edge of the TRIGGER wire, in the order of exposure, with the camera's own counter."""
+
+    def __init__(self, config: CameraConfig) -> None:
+        self._line = config.trigger
+        self._device = GenicamDevice(config)
+        self._sink: CameraSink = lambda _event: None
+        self._armed = False
+        self._snaps = 0
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def open(self, sink: CameraSink) -> CameraInfo:
+        """Connect, wait for triggers."""
+        self._sink = sink
+        frame_format = self._device.open(self._line)
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._serve, name="genicam-camera", daemon=True)
+        self._thread.start()
+        return CameraInfo(kind="genicam", format=frame_format, limits=self._device.limits())
+
+    def close(self) -> None:
+        """Disconnect; idempotent."""
+        self._armed = False
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join(timeout=_JOIN_S)
+            self._thread = None
+        self._device.close()
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Apply settings; returns what the camera took."""
+        return self._device.configure(settings)
+
+    def arm(self) -> None:
+        """Deliver what the wire triggers; nothing old waits, as the thread reads on all the time."""
+        self._armed = True
+
+    def disarm(self) -> None:
+        """Drop what comes."""
+        self._armed = False
+
+    def snap(self) -> None:
+        """One exposure by software."""
+        self._snaps += 1
+        self._device.trigger_by_software(self._line)
+
+    def _serve(self) -> None:
+        while not self._ending.is_set():
+            try:
+                frame = self._device.fetch(_FETCH_S)
+            except _ERRORS as error:
+                self._sink(CameraGone(f"the camera delivers nothing any more: {error}"))
+                return
+            if frame is not None and (self._armed or self._snaps):
+                self._snaps = max(0, self._snaps - 1)
+                self._sink(frame)
+
+
+def _producers(named: str) -> list[Path]:
+    """The producers to load.
+
+    Raises:
+        ConfigError: none is named or found.
+    """
+    if named:
+        path = Path(named).expanduser()
+        if not path.is_file():
+            raise ConfigError(f"camera.producer = {named!r} is no file: give the maker's .cti")
+        return [path]
+    folders = [Path(part) for part in os.environ.get(_PATH, "").split(os.pathsep) if part]
+    found = sorted(path for folder in folders if folder.is_dir() for path in folder.glob("*.cti"))
+    if not found:
+        raise ConfigError(
+            f"no GenTL producer: install the camera maker's, then set camera.producer to its .cti (or {_PATH})"
+        )
+    return found
