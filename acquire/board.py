@@ -13,7 +13,11 @@ from acquire.contract.states import State
 from acquire.contract.units import NS_PER_S, steps_to_um
 from acquire.stages.protocol import StageInfo, StageStatus
 
+from .control import Control
 from .frame_lane import FrameLane
+from .interlude import Interlude
+from .lamp_timer import LampTimer
+from .preview_lane import PreviewLane
 from .rates import Rate
 from .running import RunningScan
 
@@ -32,6 +36,10 @@ class Board:
     last: Status = field(default_factory=lambda: Status(state=State.DISCONNECTED))
     _rate: Rate = field(default_factory=Rate)
     _started_ns: int = 0
+
+    def __post_init__(self) -> None:
+        rig = self.config.rig
+        self._lamp = LampTimer(rig.lamp.warm_up_s * (rig.simulation.time_scale if rig.stage.kind == "simulated" else 1))
 
     def scan_started(self, now_ns: int) -> None:
         """A new scan begins: its clock starts, faults that were seen go."""
@@ -61,6 +69,9 @@ class Board:
         settings: CameraSettings,
         lane: FrameLane,
         scan: RunningScan | None,
+        interlude: Interlude,
+        control: Control,
+        preview: PreviewLane,
     ) -> Status:
         """The message as it stands now."""
         limits, travel = self.config.rig.limits, self.config.rig.stage
@@ -77,9 +88,16 @@ class Board:
             camera=msgspec.structs.asdict(settings),
             format=camera_info.format,
             writer_alive=lane.alive(now_ns, round(limits.writer_lost_s * NS_PER_S)),
-            counters=dict(lane.counters),
+            counters=lane.counters | preview.counters | interlude.counters,
             faults=self.faults,
             message=self.message,
+            stage_version=stage_info.version,
+            control=control.holder(now_ns),
+            activity=interlude.doing,
+            activity_share=interlude.share,
+            proposal=interlude.proposal,
+            lamp_warm_s=self._lamp.update(now_ns, on=stage.lamp_on),
+            camera_limits=camera_info.limits,
         )
         self.last = self._with_scan(facts, scan, now_ns) if scan is not None else self._with_last(facts)
         return self.last

@@ -27,15 +27,18 @@ from acquire.contract.outcome import outcome_words
 from acquire.contract.places import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State, transition
 from acquire.contract.units import NS_PER_S
-from acquire.stages.protocol import Alarm, Moved, SegmentDone, StageEvent, Stopped
+from acquire.stages.protocol import StageEvent
 
 from .board import Board
 from .complaints import log_now_and_then
+from .control import Control
 from .desk import Desk
 from .events import StopRequested, Tick
 from .frame_lane import FrameLane
 from .inbox import Inbox
+from .interlude import Interlude
 from .preparing import PreparedScan
+from .preview_lane import PreviewLane
 from .rig import Rig, build_rig
 from .running import RunningScan
 from .time_watch import TimeWatch
@@ -63,7 +66,10 @@ class Daemon:
         self.lane = FrameLane(bind(self._context, zmq.ROUTER, run_dir, "frames"))
         self.live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
         self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
+        self.preview = PreviewLane(bind(self._context, zmq.XPUB, run_dir, "preview"))
         self._run_dir = run_dir
+        self.interlude = Interlude(self)
+        self.control = Control()
         self._desk = Desk(self)
         self._replies: OrderedDict[str, Reply] = OrderedDict()
         self._status_due_ns = 0
@@ -152,7 +158,16 @@ class Daemon:
         """Start a scan that was checked."""
         now_ns = self.clock.now_ns()
         self.board.scan_started(now_ns)
-        self.scan = RunningScan(prepared, self.rig, self.lane, self.live, on_fault=self.fault, on_message=self.say)
+        self.interlude.end_for_sweep(now_ns)
+        self.scan = RunningScan(
+            prepared,
+            self.rig,
+            self.lane,
+            self.live,
+            on_fault=self.fault,
+            on_message=self.say,
+            on_view=self.preview.keep,
+        )
         follow_scan(prepared.start.scan_uid)
         self.scan.begin(now_ns)
         self.enter(State.ARMED)
@@ -176,18 +191,20 @@ class Daemon:
             self.scan.handle(Tick(), now_ns)
             self._watch_writer(self.scan, now_ns)
             self._follow_scan()
+        else:
+            self.interlude.tick(now_ns)
         self.rig.stage.keep_alive()
         self._publish_status(now_ns)
+        # pictures come last: whatever the stage waits for has been said
+        self.preview.poll()
+        self.preview.flush(now_ns, self.camera_info.format, self.interlude.rate_hz)
 
     def _take_device_event(self, event: StageEvent | CameraFrame | CameraGone, now_ns: int) -> None:
         self._changed = True
-        if self.scan is not None:
+        if self.scan is None:
+            self.interlude.take(event, now_ns)
+        elif not self.interlude.is_stale(event, now_ns):
             self.scan.handle(event, now_ns)
-        elif isinstance(event, Alarm):
-            self.fault(report(event.code, detail=event.detail, committed=0, expected=0))
-            self.enter(State.FAULT)
-        elif isinstance(event, (Moved, Stopped, SegmentDone)) and self.board.state in (State.MOVING, State.HOMING):
-            self.enter(State.IDLE)
 
     def _follow_scan(self) -> None:
         assert self.scan is not None
@@ -263,7 +280,8 @@ class Daemon:
         self._changed = True
 
     def _reply_to(self, command: Command) -> Reply:
-        age_ns = self.clock.now_ns() - command.sent_mono_ns
+        now_ns = self.clock.now_ns()
+        age_ns = now_ns - command.sent_mono_ns
         if (
             command.sent_mono_ns
             and age_ns > self.config.rig.limits.command_s * NS_PER_S
@@ -276,7 +294,9 @@ class Daemon:
                 error=f"{command.name} came {age_ns / NS_PER_S:.0f} s late and was not done; ask again",
             )
         try:
-            return Reply(request_id=command.request_id, ok=True, result=self._desk.serve(command.name, command.args))
+            self.control.hear(command.name, command.client, now_ns)
+            result = self._desk.serve(command.name, command.args, command.client)
+            return Reply(request_id=command.request_id, ok=True, result=result)
         except SweepscopeError as error:
             return Reply(request_id=command.request_id, ok=False, error=str(error))
 
@@ -301,6 +321,9 @@ class Daemon:
             settings=self.settings,
             lane=self.lane,
             scan=self.scan,
+            interlude=self.interlude,
+            control=self.control,
+            preview=self.preview,
         )
 
     def _publish_last(self) -> None:

@@ -3,58 +3,34 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
-from acquire.cameras.protocol import CameraSettings
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.states import State
 from acquire.stages.protocol import StageStatus
 
 from .events import PauseRequested, ResumeRequested, StopRequested
-from .preparing import PreparedScan, estimated_duration_s, prepare_scan
-from .requests import (
-    AcknowledgeRequest,
-    CameraRequest,
-    GotoRequest,
-    JogRequest,
-    LampRequest,
-    NoArguments,
-    ResumeScanRequest,
-    ScanRequest,
-    parse_request,
-)
+from .preparing import PreparedScan, check_scan, estimated_duration_s, prepare_scan
+from .requests import AcknowledgeRequest, NoArguments, ResumeScanRequest, ScanRequest, parse_request
 from .resuming import prepare_resume
-
-if TYPE_CHECKING:
-    from .daemon import Daemon
-
-Result = dict[str, Any]
+from .rig_desk import Result, RigDesk
 
 
-class Desk:
+class Desk(RigDesk):
     """Serves commands. Each method returns what the reply carries or raises why it was refused."""
 
-    def __init__(self, daemon: Daemon) -> None:
-        self._daemon = daemon
-
-    def serve(self, name: str, args: dict[str, Any]) -> Result:
-        """Check a command's arguments and do it.
+    def serve(self, name: str, args: dict[str, Any], client: str = "") -> Result:
+        """Check a command's arguments and do it for ``client``.
 
         Raises:
             SweepscopeError: refused; the text says why and what to do.
         """
         request = parse_request(name, args)
+        self._client = client
         result: Result = getattr(self, f"_{name}")(request)
         return result
-
-    def _need_idle(self, what: str) -> None:
-        daemon = self._daemon
-        if daemon.scan is not None:
-            raise CommandRefusedError(f"cannot {what}: a scan is running; stop it first")
-        if daemon.board.state is not State.IDLE:
-            raise CommandRefusedError(f"cannot {what}: the rig is {daemon.board.state}; wait, or stop it")
 
     # ---- the sweep ----
 
@@ -74,15 +50,19 @@ class Desk:
         return self._begin(prepared)
 
     def _need_sweep(self, what: str, mode: str) -> StageStatus:
-        self._need_idle(what)
-        stage, info = self._daemon.rig.stage.status(), self._daemon.stage_info
+        self._need_rest(what)
+        stage = self._daemon.rig.stage.status()
         if not stage.position_trusted:
             raise CommandRefusedError(f"cannot {what}: the stage's position is not trusted; home it first")
+        self._check_mode(mode)
+        return stage
+
+    def _check_mode(self, mode: str) -> None:
+        info = self._daemon.stage_info
         if mode not in info.modes:
             raise CommandRefusedError(
                 f"the {info.kind} stage sweeps in {' or '.join(info.modes)} mode, not in {mode} mode"
             )
-        return stage
 
     def _begin(self, prepared: PreparedScan) -> Result:
         daemon = self._daemon
@@ -95,6 +75,25 @@ class Desk:
             "seconds": estimated_duration_s(plan, daemon.config),
             "bytes": plan.count * prepared.start.format.nbytes,
             "warnings": list(prepared.warnings),
+        }
+
+    def _estimate(self, request: ScanRequest) -> Result:
+        """What a scan would take, or why it would be refused; nothing is made, nothing moves."""
+        daemon = self._daemon
+        stage = daemon.rig.stage.status()
+        self._check_mode(request.mode or daemon.config.rig.sweep.mode)
+        found = check_scan(
+            request, daemon.config, daemon.rig, daemon.camera_info.format, daemon.settings, stage.zero_id
+        )
+        warnings = list(found.warnings)
+        if not stage.position_trusted:
+            warnings.append("the stage's position is not trusted: home it first")
+        return {
+            "expected": found.plan.count,
+            "seconds": estimated_duration_s(found.plan, daemon.config),
+            "bytes": found.needed_bytes,
+            "free_bytes": found.free_bytes,
+            "warnings": warnings,
         }
 
     def _pause(self, request: NoArguments) -> Result:
@@ -117,51 +116,24 @@ class Desk:
         if daemon.scan is not None:
             daemon.scan.handle(StopRequested(), daemon.clock.now_ns())
             return {"stopping": "scan"}
+        what = daemon.interlude.activity.name if daemon.interlude.activity is not None else "stage"
         daemon.rig.stage.stop()
-        return {"stopping": "stage"}
+        daemon.interlude.stop()
+        return {"stopping": what}
 
     def _status(self, request: NoArguments) -> Result:
         fields: Result = msgspec.to_builtins(self._daemon.current_status(self._daemon.clock.now_ns()))
         return fields
 
-    # ---- the stage, the lamp, the camera ----
-
-    def _goto(self, request: GotoRequest) -> Result:
-        self._need_idle("move")
-        self._daemon.rig.stage.move_to(request.position_steps)
-        self._daemon.enter(State.MOVING)
-        return {"target_steps": request.position_steps}
-
-    def _jog(self, request: JogRequest) -> Result:
-        return self._goto(GotoRequest(self._daemon.rig.stage.status().position_steps + request.steps))
-
-    def _home(self, request: NoArguments) -> Result:
-        self._need_idle("home")
-        self._daemon.rig.stage.home()
-        self._daemon.enter(State.HOMING)
-        return {}
-
-    def _zero(self, request: NoArguments) -> Result:
-        self._need_idle("zero")
-        self._daemon.rig.stage.zero_here()
-        return {}
-
-    def _lamp(self, request: LampRequest) -> Result:
-        self._need_idle("switch the lamp")
-        self._daemon.rig.set_lamp(on=request.on)
-        return {"on": request.on}
-
-    def _camera(self, request: CameraRequest) -> Result:
-        self._need_idle("change the camera's settings")
-        wanted = {name: value for name, value in msgspec.structs.asdict(request).items() if value is not None}
-        merged = msgspec.structs.asdict(self._daemon.settings) | wanted
-        self._daemon.settings = self._daemon.rig.camera.configure(CameraSettings(**merged))
-        return dict(msgspec.structs.asdict(self._daemon.settings))
-
     # ---- the rest ----
 
     def _acknowledge(self, request: AcknowledgeRequest) -> Result:
-        return {"acknowledged": self._daemon.board.acknowledge(request.code)}
+        """A rig in fault is let go when every fault was seen; what its cause was, the stage itself still knows."""
+        board = self._daemon.board
+        count = board.acknowledge(request.code)
+        if board.state is State.FAULT and all(fault.acknowledged for fault in board.faults):
+            self._daemon.enter(State.IDLE)
+        return {"acknowledged": count}
 
     def _shutdown(self, request: NoArguments) -> Result:
         self._daemon.ending = True

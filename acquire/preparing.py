@@ -46,6 +46,19 @@ class PreparedScan:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class CheckedScan:
+    """A scan that could begin, and what it would need."""
+
+    plan: SweepPlan
+    slots: int
+    calibration: str
+    """The calibration's JSON; empty where none is needed."""
+    warnings: tuple[str, ...]
+    needed_bytes: int
+    free_bytes: int
+
+
 def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) -> SweepPlan:
     """The plan: what the request leaves out comes from the configuration.
 
@@ -97,13 +110,31 @@ def prepare_scan(
         CommandRefusedError: travel, memory, disk space, or a folder that cannot be made; says what to do.
         CalibrationError: the calibration cannot be used (F21).
     """
+    found = check_scan(request, config, rig, frame_format, camera, zero_id)
+    folder, lock = _make_folder(config.data_dir, request.name)
+    start = _start_message(request, config, found.plan, frame_format, found.calibration, folder)
+    return PreparedScan(start, sweep_settings(config, start), found.slots, folder, lock, found.warnings)
+
+
+def check_scan(
+    request: ScanRequest,
+    config: LoadedConfig,
+    rig: Rig,
+    frame_format: FrameFormat,
+    camera: CameraSettings,
+    zero_id: str,
+) -> CheckedScan:
+    """Check everything that can be checked beforehand; nothing is made.
+
+    Raises:
+        CommandRefusedError: travel, memory or disk space; says what to do.
+        CalibrationError: the calibration cannot be used (F21).
+    """
     plan = plan_of(request, config, camera)
     slots = window_slots(config, frame_format)
     calibration, warnings = _calibration(config, rig, plan, frame_format, request, zero_id)
-    _check_space(config, plan, frame_format)
-    folder, lock = _make_folder(config.data_dir, request.name)
-    start = _start_message(request, config, plan, frame_format, calibration, folder)
-    return PreparedScan(start, sweep_settings(config, start), slots, folder, lock, tuple(warnings))
+    needed, free = _check_space(config, plan, frame_format)
+    return CheckedScan(plan, slots, calibration, tuple(warnings), needed, free)
 
 
 def window_slots(config: LoadedConfig, frame_format: FrameFormat) -> int:
@@ -145,18 +176,23 @@ def _calibration(
     return text, warnings
 
 
-def _check_space(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> None:
-    needed = (plan.count + len(CHECK_ROLES)) * frame_format.nbytes
+def space_for(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
+    """Bytes that a sweep needs on the disk of the scans, and bytes that are free there."""
     place = config.data_dir
     while not place.exists() and place != place.parent:
         place = place.parent
-    free = shutil.disk_usage(place).free
+    return (plan.count + len(CHECK_ROLES)) * frame_format.nbytes, shutil.disk_usage(place).free
+
+
+def _check_space(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
+    needed, free = space_for(config, plan, frame_format)
     if free < needed:
         raise CommandRefusedError(
             f"the scan needs {format_bytes(needed)} and {config.data_dir} has {format_bytes(free)} free "
             f"({plan.count} frames, {format_duration(estimated_duration_s(plan, config))}): "
             "make room, or set storage.data_dir to another disk"
         )
+    return needed, free
 
 
 def _make_folder(data_dir: Path, name: str) -> tuple[Path, FileLock]:

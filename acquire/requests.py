@@ -116,6 +116,9 @@ REQUESTS: dict[str, type[msgspec.Struct]] = {
     "zero": NoArguments,
     "lamp": LampRequest,
     "camera": CameraRequest,
+    "preview": PreviewRequest,
+    "control": ControlRequest,
+    "estimate": ScanRequest,
     "acknowledge": AcknowledgeRequest,
     "shutdown": NoArguments,
 }

@@ -71,6 +71,7 @@ class SimulatedRig(Rig):
         self._camera = SimulatedCamera(config)
         stage = SimulatedStage(config.stage, self._camera.on_trigger, time_scale=config.simulation.time_scale)
         super().__init__(stage, self._camera)
+        self._camera.where = lambda: stage.status().position_steps
 
     def own_calibration(self, plan: SweepPlan) -> str:
         """The exact calibration of the simulated optics."""

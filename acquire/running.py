@@ -21,6 +21,7 @@ from . import actions as do
 from .events import SweepEvent
 from .frame_lane import FrameLane
 from .preparing import PreparedScan
+from .preview_lane import View
 from .rig import Rig
 from .shooting import Shooting
 from .sweep import Phase, Sweep
@@ -40,10 +41,11 @@ class RunningScan:
         *,
         on_fault: Callable[[FaultReport], None],
         on_message: Callable[[str], None],
+        on_view: Callable[[View], None],
     ) -> None:
         self.prepared = prepared
         self._rig, self._lane, self._live = rig, lane, live
-        self._on_fault, self._on_message = on_fault, on_message
+        self._on_fault, self._on_message, self._on_view = on_fault, on_message, on_view
         self.live_drops = 0
         self._truth: threading.Thread | None = None
         lane.begin(prepared.start, prepared.slots)
@@ -130,3 +132,7 @@ class RunningScan:
         self._lane.offer(image, pixels)
         if not self._live.send(image, pixels):
             self.live_drops += 1
+        if image.role == "sweep":
+            start = self.prepared.start
+            place = image.position_steps, image.position_um
+            self._on_view(View(pixels, *place, start.plan.exposure_ms, image.frame_index, start.scan_uid))

@@ -154,6 +154,7 @@ class TwinRig(SimulatedRig):
         self._camera = SimulatedCamera(config)
         self._twin = TwinStage(config.stage, _pace(config.simulation.time_scale), self._camera)
         Rig.__init__(self, self._twin, self._camera)
+        self._camera.where = lambda: self._twin.status().position_steps
 
     def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread:
         """The truth, and from now on the record of the pins."""

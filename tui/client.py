@@ -27,25 +27,24 @@ def somebody_listens(run_dir: Path, lane: str = "command") -> bool:
     return True
 
 
-def new_request(name: str, args: dict[str, Any]) -> Command:
+def new_request(name: str, args: dict[str, Any], client: str = "") -> Command:
     """A command with a request id of its own; arguments that are None are left out."""
-    return Command(
-        request_id=uuid.uuid4().hex, name=name, args={key: value for key, value in args.items() if value is not None}
-    )
+    given = {key: value for key, value in args.items() if value is not None}
+    return Command(request_id=uuid.uuid4().hex, name=name, args=given, client=client)
 
 
 class RigClient:
     """A client of the command and status lanes; use it in a ``with`` block and in one thread."""
 
-    def __init__(self, run_dir: Path, *, timeout_s: float = 5.0) -> None:
-        """Connect to the daemon in ``run_dir``.
+    def __init__(self, run_dir: Path, *, timeout_s: float = 5.0, client: str = "") -> None:
+        """Connect to the daemon in ``run_dir``; ``client`` is who asks, in words.
 
         Raises:
             NoServiceError: nobody listens there.
         """
         if not somebody_listens(run_dir):
             raise _nobody(run_dir)
-        self.run_dir = run_dir
+        self.run_dir, self.client = run_dir, client
         self._timeout_s = timeout_s
         self._context = zmq.Context()
         self._socket = connect(self._context, zmq.DEALER, run_dir, "command")
@@ -71,7 +70,7 @@ class RigClient:
             NoServiceError: no reply in time.
             CommandRefusedError: the daemon says no, and why.
         """
-        command = new_request(name, args)
+        command = new_request(name, args, self.client)
         for _attempt in range(2):
             self._sender.send(command)
             reply = self._reply_to(command.request_id, self._timeout_s / 2)

@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 
 from acquire.contract.config_model import RigConfig
 from acquire.contract.messages import FrameFormat
@@ -39,8 +40,8 @@ class SimulatedCamera:
         self._frame_id = 0
         self._taken: Counter[int] = Counter()
         self.lamp_on = False
-        self.position_steps = 0
-        """Where the projector stands when a software trigger comes."""
+        self.where: Callable[[], float] = lambda: 0.0
+        """Says where the projector stands, in microsteps, when a software trigger comes."""
         self.lost_exposures = 0
         self.scene: Scene | None = None
         self._faults = ScriptedFaults(parse_script(simulation.faults))
@@ -61,7 +62,7 @@ class SimulatedCamera:
         self._renderer.render(0, exposure_ms=1.0, gain=0.0, brightness=0.0)
         self._thread = threading.Thread(target=self._serve, name="simulated-camera", daemon=True)
         self._thread.start()
-        return CameraInfo(kind="simulated", format=self._format)
+        return CameraInfo(kind="simulated", format=self._format, limits=dict(_LIMITS))
 
     def close(self) -> None:
         """Stop delivering; idempotent."""
@@ -87,11 +88,10 @@ class SimulatedCamera:
 
     def snap(self) -> None:
         """One exposure now."""
-        self._expose(self.position_steps, time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        self._expose(self.where(), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
 
     def on_trigger(self, position_steps: float, at_ns: int, travel_steps: float = 0.0) -> None:
         """The trigger line: the stage is at ``position_steps`` at mid-exposure, and travels on during the exposure."""
-        self.position_steps = round(position_steps)
         if self._armed:
             self._expose(position_steps, at_ns, travel_steps)
 

@@ -1,0 +1,25 @@
+"""How long the lamp still needs until its light is steady. Pure: fed with what the stage says of the lamp."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from acquire.contract.units import NS_PER_S
+
+
+@dataclass
+class LampTimer:
+    """Counts from the moment when the lamp was first seen on."""
+
+    warm_up_s: float
+    """By the clock on the wall, in s."""
+    _on_since_ns: int | None = None
+
+    def update(self, now_ns: int, *, on: bool) -> float:
+        """Seconds until the lamp is warm; 0 when it is, or when it is off."""
+        if not on:
+            self._on_since_ns = None
+            return 0.0
+        if self._on_since_ns is None:
+            self._on_since_ns = now_ns
+        return max(0.0, self.warm_up_s - (now_ns - self._on_since_ns) / NS_PER_S)

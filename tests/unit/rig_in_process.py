@@ -1,0 +1,104 @@
+"""A daemon with a small simulated rig in a thread of its own, for tests that speak to it as clients do."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import zmq
+
+from acquire.contract.config import load_config
+from acquire.contract.lanes import connect, receive
+from acquire.contract.messages import Picture
+from acquire.daemon import Daemon
+from acquire.rig import build_rig
+from tui.client import RigClient
+
+DEADLINE_S = 30.0
+SMALL = {
+    "camera.width": 64,
+    "camera.height": 48,
+    "simulation.time_scale": 0.01,
+    "sweep.max_rate_hz": 1000.0,
+    "sweep.steps_per_frame": 12,
+    "limits.status_hz": 50.0,
+    "limits.writer_start_s": 0.2,
+    "limits.stop_s": 0.3,
+    "sweep.check_limit": False,
+}
+
+
+class RigInProcess:
+    """Use it in a ``with`` block; ``settings`` are section.key -> value."""
+
+    def __init__(self, run_dir: Path, data_dir: Path, settings: dict[str, Any]) -> None:
+        self.run_dir = run_dir
+        config = load_config(overrides=SMALL | {"storage.data_dir": str(data_dir)} | settings, environ={})
+        self.daemon = Daemon(config, run_dir, build_rig(config.rig))
+        self._thread = threading.Thread(target=self.daemon.run, name="daemon")
+
+    def __enter__(self) -> Self:
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._watchers: list[zmq.Socket[Any]] = []
+        self.daemon.open()
+        self._thread.start()
+        self._client = RigClient(self.run_dir, timeout_s=DEADLINE_S)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.daemon.ending = True
+        self._thread.join(DEADLINE_S)
+        self.daemon.close()
+        self._client.close()
+        for socket in self._watchers:
+            socket.close()
+        self._context.destroy(linger=0)
+
+    def ask(self, name: str, **args: Any) -> dict[str, Any]:
+        """One command as a client without a name."""
+        return self._client.request(name, **args).result
+
+    def ask_as(self, who: str, name: str, **args: Any) -> dict[str, Any]:
+        """One command as client ``who``."""
+        self._client.client = who
+        try:
+            return self.ask(name, **args)
+        finally:
+            self._client.client = ""
+
+    def status(self) -> dict[str, Any]:
+        """The rig as it is now: asked for, so never older than what was asked before."""
+        return self.ask("status")
+
+    def until(self, wanted: Callable[[dict[str, Any]], Any], what: str) -> dict[str, Any]:
+        """Ask until the status is as wanted."""
+        deadline_s = time.monotonic() + DEADLINE_S
+        while not wanted(status := self.status()):
+            assert time.monotonic() < deadline_s, f"waited {DEADLINE_S} s in vain: {what}; {status}"
+        return status
+
+    def watch(self) -> zmq.Socket[Any]:
+        """A subscriber of the preview lane."""
+        socket = connect(self._context, zmq.SUB, self.run_dir, "preview")
+        self._watchers.append(socket)
+        self.until_true(lambda: self.daemon.preview.watched, "the daemon knows that somebody watches")
+        return socket
+
+    @staticmethod
+    def until_true(condition: Callable[[], Any], what: str) -> None:
+        """Wait for something with a deadline."""
+        deadline_s = time.monotonic() + DEADLINE_S
+        while not condition():
+            assert time.monotonic() < deadline_s, f"waited {DEADLINE_S} s in vain: {what}"
+            time.sleep(0.005)
+
+    @staticmethod
+    def picture(socket: zmq.Socket[Any]) -> tuple[Picture, bytes]:
+        """The next picture."""
+        assert socket.poll(DEADLINE_S * 1000), "no picture came"
+        received = receive(socket)
+        assert received is not None and isinstance(received.message, Picture) and received.payload is not None
+        return received.message, received.payload.bytes
