@@ -1,0 +1,21 @@
+"""Subcommands of calibration: camera, light plane, checks, rezero, files of the original program."""
+
+from __future__ import annotations
+
+import click
+
+from .camera import camera
+from .checks import check, rezero
+from .original import import_original
+from .plane import plane, reference_planes_command
+
+
+@click.group()
+def calibrate() -> None:
+    """Calibrate camera and light plane, and check what they are worth."""
+
+
+for _command in (camera, plane, reference_planes_command, check, rezero, import_original):
+    calibrate.add_command(_command)
+
+COMMANDS: tuple[click.Command, ...] = (calibrate,)
