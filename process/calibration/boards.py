@@ -107,7 +107,8 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
     grid = _largest(grey, board) if sector is None else grow(grey, sector, max(board.grid) + 2)
     if grid is None:
         raise BoardNotFoundError(
-            f"no chessboard found ({board.columns} x {board.rows} squares expected): is it sharp, lit and in the field?"
+            f"no chessboard found ({board.columns} x {board.rows} squares expected): is it sharp, lit, in the field, "
+            "and face up?"
         )
     grid = _cropped(grid)
     known = np.isfinite(grid[..., 0])
@@ -201,11 +202,19 @@ def grid_pitch_px(grid: F8) -> float:
 def _charuco(grey: NDArray[np.uint8], board: Board) -> Sighting:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, 0.75 * board.pitch_mm, dictionary)
-    corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
-    if marker_ids is None or not len(marker_ids):
-        raise BoardNotFoundError("no marker of the ChArUco board is readable: upside down (mirrored), or too blurred?")
-    if ids is None or len(ids) < MIN_CORNERS:
-        raise BoardNotFoundError(f"only {0 if ids is None else len(ids)} ChArUco corners; {MIN_CORNERS} are needed")
+    detector = cv2.aruco.CharucoDetector(pattern)
+    corners, ids = detector.detectBoard(grey)[:2]
+    count = 0 if ids is None else len(ids)
+    if count < MIN_CORNERS:
+        mirrored = detector.detectBoard(np.ascontiguousarray(grey[:, ::-1]))[1]
+        if mirrored is not None and len(mirrored) >= MIN_CORNERS:
+            raise BoardNotFoundError(
+                "the markers are mirrored: the board lies upside down, or the camera's picture is mirrored"
+            )
+        raise BoardNotFoundError(
+            f"only {count} ChArUco corners were found, {MIN_CORNERS} are needed: too blurred, too little of the board "
+            "in the field, or another board?"
+        )
     pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     index = np.asarray(ids).ravel()
     column, row = index % board.grid[0], index // board.grid[0]

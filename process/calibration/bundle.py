@@ -46,6 +46,8 @@ class Fit:
     """Over all corners: root mean square distance, OpenCV's definition."""
     view_rms_px: tuple[float, ...]
     model: str
+    corner_variance: float = 0.0
+    """px^2 of one coordinate of a corner, from the residuals."""
 
     @property
     def matrix(self) -> F8:
@@ -194,4 +196,18 @@ def _finished(
     covariance[np.ix_(free, free)] = variance * np.outer(unit, unit) * np.linalg.pinv(reduced * np.outer(unit, unit))
     view_rms = tuple(float(np.sqrt(part.mean())) for part in squares)
     rms = float(np.sqrt(sum(part.sum() for part in squares) / count))
-    return Fit(intrinsics, tuple(poses), covariance, rms, view_rms, model)
+    return Fit(intrinsics, tuple(poses), covariance, rms, view_rms, model, variance)
+
+
+def joint_covariance(fit: Fit, view: Sighting, pose: F8) -> F8:
+    """[15, 15] of the intrinsics and one view's pose [6] (rotation vector, translation), which follows from them."""
+    jacobian = cv2.projectPoints(view.object_mm, pose[:3], pose[3:], fit.matrix, fit.distortion)[1]
+    own, camera = jacobian[:, :6], jacobian[:, _COLUMNS]
+    inverse = np.linalg.pinv(own.T @ own, hermitian=True)
+    follows = -inverse @ own.T @ camera
+    joint = np.zeros((15, 15))
+    joint[:9, :9] = fit.covariance
+    joint[9:, :9] = follows @ fit.covariance
+    joint[:9, 9:] = joint[9:, :9].T
+    joint[9:, 9:] = follows @ fit.covariance @ follows.T + fit.corner_variance * inverse
+    return joint

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from acquire.contract.errors import CalibrationError
 
 from .boards import Board, BoardNotFoundError, Sighting, find_board
-from .bundle import NAMES, Fit
+from .bundle import NAMES, Fit, as_vector, joint_covariance
 from .poses import Pose, find_pose, project
 from .selection import MIN_VIEWS, choose_corners, choose_model, harmful_view
 
@@ -54,7 +54,18 @@ class CameraResult:
     """Share of the field that the used corners span."""
     predicted_um: tuple[float, float]
     """Predicted error at the corners of the field: at z = 0 and half a millimetre above (standard deviations)."""
+    stage_sighting: Sighting | None = None
+    """The corners that ``stage`` is from."""
     notes: tuple[str, ...] = field(default=())
+
+    @property
+    def covariance(self) -> F8:
+        """[15, 15] of the intrinsics and the world's pose (rotation vector, translation)."""
+        if self.stage is not None and self.stage_sighting is not None:
+            return joint_covariance(self.fit, self.stage_sighting, as_vector(self.stage))
+        found = np.zeros((15, 15))
+        found[:9, :9] = self.fit.covariance
+        return found
 
     @property
     def sd(self) -> dict[str, float]:
@@ -75,6 +86,7 @@ class CameraResult:
             "quality": {
                 "rms_px": self.fit.rms_px,
                 "sd": self.sd,
+                "covariance": self.covariance.tolist(),
                 "model": self.fit.model,
                 "held_out_px": self.held_out_px,
                 "corner_estimate": self.corner_estimate,
@@ -132,6 +144,7 @@ def calibrate_camera(
     predicted = _predicted_um(fit, size, sightings[names.index(stage)] if stage in names else sightings[0])
     return CameraResult(
         size, board, fit, tuple(sightings), tuple(views), pose, estimate, held_out, coverage, predicted,
+        sightings[names.index(stage)] if stage in names else None,
         _notes(fit, size, coverage, predicted, sightings, world=stage is not None),
     )  # fmt: skip
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from acquire.contract.errors import CalibrationError
 from process.geometry import Hits, intersect, plane_table, rays
 
 from . import robust
-from .plane_sweep import Surface
+from .surfaces import Surface
 
 F8 = NDArray[np.float64]
 PATCH_PX = 64
@@ -94,14 +93,6 @@ def check_surface(surface: Surface, camera: CameraModel, plane: TranslatingPlane
         shift_t=shift_t,
         shift_um=shift_t * float(n @ v) / float(np.linalg.norm(n)) * 1000,
     )
-
-
-def rezeroed(document: dict[str, Any], shift_t: float) -> dict[str, Any]:
-    """The calibration with its light plane moved so that it comes ``shift_t`` later; everything else as it was."""
-    plane = dict(document["light_plane"])
-    origin, velocity = np.array(plane["corner_origin_mm"]), np.array(plane["corner_velocity_mm"])
-    plane["corner_origin_mm"] = (origin - shift_t * velocity).tolist()
-    return {**document, "light_plane": plane}
 
 
 def _shift(surface: Surface, camera: CameraModel, plane: TranslatingPlane) -> float:

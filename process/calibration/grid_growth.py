@@ -30,7 +30,7 @@ def grow(grey: NDArray[np.uint8], seed: F8, limit: int) -> F8:
     grid = np.full((seed.shape[0] + 2 * limit, seed.shape[1] + 2 * limit, 2), np.nan)
     grid[limit : limit + seed.shape[0], limit : limit + seed.shape[1]] = seed
     contrast = _alternations(soft, grid)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         wrong = ~(contrast / np.nanmedian(contrast) > CONTRAST_SHARE) if np.isfinite(contrast).any() else False
     grid[wrong], contrast[wrong] = np.nan, np.nan
     rejected = np.zeros(grid.shape[:2], dtype=np.bool_)

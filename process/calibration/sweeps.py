@@ -20,7 +20,12 @@ from process.settings import Edge, ReconstructOptions
 
 F8 = NDArray[np.float64]
 UNUSABLE = (
-    Quality.LIT_AT_START | Quality.PLATEAU_NOT_REACHED | Quality.NO_DARK_LEVEL | Quality.SATURATED | Quality.SEVERAL
+    Quality.LIT_AT_START
+    | Quality.PLATEAU_NOT_REACHED
+    | Quality.NO_DARK_LEVEL
+    | Quality.SATURATED
+    | Quality.SEVERAL
+    | Quality.FILTERED
 )
 MOSTLY = 0.3
 """Share of the lit pixels with one fault that makes a sweep useless."""
@@ -59,7 +64,7 @@ class FoldedSweep:
 
 
 def fold_sweep(
-    scan: Path, *, method: str = "linear", edge: Edge | None = None, contrast: int | None = None, clean: bool = True
+    scan: Path, *, method: str = "auto", edge: Edge | None = None, contrast: int | None = None, clean: bool = True
 ) -> FoldedSweep:
     """Fold SCAN and keep the pixels that crossed once, cleanly, from dark to a plateau.
 

@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--squares", default="41x31")
     parser.add_argument("--square-mm", type=float, default=0.15)
-    parser.add_argument("--method", default="linear")
+    parser.add_argument("--method", default="auto")
     options = parser.parse_args()
     columns, rows = (int(part) for part in options.squares.split("x"))
     folder = options.folder

@@ -14,11 +14,12 @@ from acquire.contract.errors import CalibrationError
 from acquire.contract.messages import FrameFormat
 from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import build_scene, ideal_calibration
-from process.calibration.check import rezeroed
 from process.calibration.documents import new_document, read_document, write_document
-from process.calibration.plane_sweep import Surface, fit_plane
+from process.calibration.plane_sweep import fit_plane
+from process.calibration.recipe import rezeroed
 from process.calibration.reference_planes import fit_reference_planes, read_planes
 from process.calibration.robust import solve
+from process.calibration.surfaces import Surface
 from process.calibration.sweeps import FoldedSweep, fold_sweep
 from process.geometry import rays
 from tests.fakes.simulated_scans import plan_of, simulate_sweep

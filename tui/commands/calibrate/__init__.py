@@ -7,7 +7,7 @@ import click
 from .camera import camera
 from .checks import check, rezero
 from .original import import_original
-from .plane import plane, reference_planes_command
+from .plane import plane, reference_planes_command, refit
 
 
 @click.group()
@@ -15,7 +15,7 @@ def calibrate() -> None:
     """Calibrate camera and light plane, and check what they are worth."""
 
 
-for _command in (camera, plane, reference_planes_command, check, rezero, import_original):
+for _command in (camera, plane, refit, reference_planes_command, check, rezero, import_original):
     calibrate.add_command(_command)
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

@@ -23,7 +23,7 @@ def _checked(
     """A sweep over the board, or over a flat where no board is described, against a calibration."""
     from acquire.contract.calibration import TranslatingPlane, load_calibration
     from process.calibration.check import check_surface
-    from process.calibration.plane_sweep import board_surface, flat_surface
+    from process.calibration.surfaces import board_surface, flat_surface
     from process.calibration.sweeps import fold_sweep
 
     found = load_calibration(calibration_file)[0]
@@ -80,8 +80,8 @@ def rezero(
     as_json: bool,
 ) -> None:
     """Move a light plane after homing: one sweep over the board lying anyhow."""
-    from process.calibration.check import rezeroed
     from process.calibration.documents import read_document, utc_now, write_document
+    from process.calibration.recipe import rezeroed
 
     result = _checked(scan, calibration_file, squares, square_mm)
     document = rezeroed(read_document(calibration_file), result.shift_t)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.options import PATH, board_of, force_option, size_option
+from tui.commands.calibrate.options import EDGES, METHODS, PATH, board_of, force_option, size_option
 from tui.commands.context import json_option, print_json
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 @click.option("--squares", metavar="CxR", callback=size_option, help="Squares of the board in SCANS.")
 @click.option("--square-mm", type=float, help="Side of a square in mm.")
 @click.option("--flat", multiple=True, type=PATH, help="Sweep over a matt white flat of any height; may be repeated.")
-@click.option("--method", default="linear", show_default=True, help="Crossing estimate.")
-@click.option("--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True)
+@click.option("--method", type=METHODS, default="auto", show_default=True, help="Crossing estimate.")
+@click.option("--edge", type=EDGES, default="rising", show_default=True)
 @click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, counts of 8 bit [70].")
 @click.option("--days", type=float, default=30.0, show_default=True, help="How long it is meant to be used.")
 @click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
@@ -48,32 +48,54 @@ def plane(
 
     SCANS show the board in poses that its own corners tell. A surface that contradicts the others by more than
     1 um fails; --force writes the calibration all the same."""
-    from acquire.contract.calibration import load_calibration
     from process.calibration.documents import read_document, write_document
     from process.calibration.pages import plane_page, write_page
-    from process.calibration.plane_sweep import board_surface, fit_plane, flat_surface
-    from process.calibration.sweeps import fold_sweep
+    from process.calibration.recipe import SweepRecipe, make_plane, with_plane
 
     if not scans or squares is None or square_mm is None:
         raise CalibrationError("name sweeps over the board, with --squares and --square-mm: flats alone cannot do")
-    model = load_calibration(camera_file)[0].camera
-    board = board_of(squares, square_mm, "chessboard")
-    fold = {"method": method, "edge": edge, "contrast": contrast}
-    surfaces = [board_surface(fold_sweep(scan, **fold), board, model) for scan in scans]  # type: ignore[arg-type]
-    surfaces += [flat_surface(fold_sweep(scan, **fold)) for scan in flat]  # type: ignore[arg-type]
-    result = fit_plane(surfaces, model, edge=edge, method=method)
+    board = board_of(squares, square_mm)
+    recipe = SweepRecipe(
+        _absolute(scans), board.columns, board.rows, square_mm, _absolute(flat), edge, contrast,  # type: ignore[arg-type]
+    )  # fmt: skip
     document = read_document(camera_file)
-    document["light_plane"] = result.document()
-    document["valid_for"] = result.validity(days)
-    page = out.with_name(f"{out.stem}-plane.html")
-    write_page(page, plane_page(result, plane_words(result)))
+    result = make_plane(recipe, document, method)
     if not as_json:
-        click.echo("\n".join([*plane_words(result), str(page)]))
+        click.echo("\n".join(plane_words(result)))
     if not result.ok and not force:
         bad = next(surface for surface in result.surfaces if not surface.ok)
         raise CalibrationError(f"failed, nothing was written: {bad.name}: {bad.cause} (--force writes it all the same)")
+    document = with_plane(document, result, recipe, days)
     write_document(out, document, force=force or out == camera_file)
-    print_json({"out": out, "light_plane": document["light_plane"]}) if as_json else click.echo(str(out))
+    page = out.with_name(f"{out.stem}-plane.html")
+    write_page(page, plane_page(result, plane_words(result)))
+    if as_json:
+        print_json({"out": out, "report": page, "light_plane": document["light_plane"]})
+    else:
+        click.echo(f"{out}\n{page}")
+
+
+def _absolute(paths: tuple[Path, ...]) -> tuple[str, ...]:
+    return tuple(str(path.absolute()) for path in paths)
+
+
+@click.command()
+@click.argument("calibration", type=PATH)
+@click.option("--method", type=METHODS, required=True, help="Crossing estimate to make it again with.")
+@click.option("--out", required=True, type=PATH, help="Where the calibration goes.")
+@force_option
+@json_option
+def refit(calibration: Path, method: str, out: Path, force: bool, as_json: bool) -> None:
+    """Make a light plane again from its own stored sweeps, with another estimate of the crossings."""
+    from process.calibration.documents import read_document, write_document
+    from process.calibration.recipe import refit as make_again
+
+    made = make_again(read_document(calibration), method)
+    write_document(out, made.document, force=force)
+    if as_json:
+        print_json({"out": out, "light_plane": made.document["light_plane"]})
+        return
+    click.echo("\n".join([*plane_words(made.result), str(out)]))
 
 
 def plane_words(result: PlaneResult) -> list[str]:
@@ -91,6 +113,8 @@ def plane_words(result: PlaneResult) -> list[str]:
         f"normal ({n[0]:.5f}, {n[1]:.5f}, {n[2]:.5f}) +- {result.normal_sd_deg:.4f} degrees, "
         f"{1000 * result.speed_mm:.5f} um along it per {unit} +- {100 * result.speed_sd:.4f} %"
     )
+    parts = ", ".join(f"{name} {value:.4f}" for name, value in result.normal_sd_parts_deg.items())
+    lines.append(f"the normal's standard deviation by source, degrees: {parts}")
     lines.append("commanded speed: not determinable, sweeps show the motion along the normal only")
     return lines + [f"note: {note}" for note in result.notes]
 
@@ -99,8 +123,8 @@ def plane_words(result: PlaneResult) -> list[str]:
 @click.argument("scan", type=PATH)
 @click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
 @click.option("--planes", "planes_file", required=True, type=PATH, help="JSON with reference_planes.")
-@click.option("--method", default="linear", show_default=True, help="Crossing estimate.")
-@click.option("--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True)
+@click.option("--method", type=METHODS, default="auto", show_default=True, help="Crossing estimate.")
+@click.option("--edge", type=EDGES, default="rising", show_default=True)
 @click.option("--contrast", type=click.IntRange(0, 255), default=50, show_default=True)
 @click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
 @force_option

@@ -1,0 +1,95 @@
+"""Owns how sweeps agree with a light plane: residual of each surface, its trend over the field, the probable cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import robust
+from .surfaces import Surface
+
+F8 = NDArray[np.float64]
+LIMIT_UM = 1.0
+"""A surface whose mean residual is larger contradicts the others."""
+BEND_LIMIT_UM = 3.0
+"""A residual that is bent by more over the field shows something that is not flat or not straight."""
+
+
+@dataclass(frozen=True)
+class SurfaceResult:
+    """How one surface agrees with the plane."""
+
+    name: str
+    pixels: int
+    outlier_share: float
+    mean_um: float
+    """Mean residual along the light plane's normal."""
+    rms_um: float
+    """Of the pixels that are not outliers."""
+    slope_um: float
+    """Greatest linear trend of the residual over the field, end to end."""
+    bend_um: float
+    """Greatest curved trend."""
+    height_mm: float | None
+    """Estimated height of a flat; None for boards."""
+    ok: bool
+    cause: str
+    map_um: F8
+    """[h, w] residual; NaN where not used."""
+
+
+def surface_results(
+    surfaces: Sequence[Surface], points: Sequence[F8], heights: F8, a: F8, b: float
+) -> tuple[SurfaceResult, ...]:
+    """How each surface agrees with t = a . X + b; ``points`` [n, 3] and ``heights`` (of flats) in mm, one each."""
+    found = []
+    for surface, x, height in zip(surfaces, points, heights, strict=True):
+        shape = surface.sweep.crossing.shape
+        residual = (surface.sweep.t.ravel()[surface.pixels] - x @ a - b) / float(np.linalg.norm(a)) * 1000
+        middle = float(np.median(residual))
+        scale = robust.MAD_TO_SIGMA * float(np.median(np.abs(residual - middle)))
+        near = np.abs(residual - middle) <= 4 * max(scale, 1e-9)
+        whole = np.full(shape[0] * shape[1], np.nan)
+        whole[surface.pixels[near]] = residual[near]
+        slope, bend = _trend(surface.pixels[near], residual[near], shape)
+        mean = float(residual[near].mean())
+        rms = float(np.sqrt((residual[near] ** 2).mean()))
+        ok = abs(mean) <= LIMIT_UM and bend <= BEND_LIMIT_UM
+        result = SurfaceResult(
+            surface.sweep.name, int(near.sum()), float(1 - near.mean()), mean, rms,
+            slope, bend, float(height) if surface.free_height else None, ok, "",
+            whole.reshape(shape),
+        )  # fmt: skip
+        found.append(replace(result, cause=_cause(result)))
+    return tuple(found)
+
+
+def _trend(pixels: NDArray[np.intp], residual: F8, shape: tuple[int, ...]) -> tuple[float, float]:
+    """Linear and curved trend of the residual over the field: greatest minus least in um."""
+    y, x = np.divmod(pixels, shape[1])
+    u, v = 2 * x / (shape[1] - 1) - 1, 2 * y / (shape[0] - 1) - 1
+    linear = np.column_stack([u, v])
+    curved = np.column_stack([u * u, u * v, v * v])
+    curved = curved - curved.mean(axis=0)
+    design = np.column_stack([np.ones(len(u)), linear, curved])
+    fit = np.linalg.lstsq(design, residual, rcond=None)[0]
+    return float(np.ptp(linear @ fit[1:3])), float(np.ptp(curved @ fit[3:]))
+
+
+def _cause(result: SurfaceResult) -> str:
+    """The probable cause of what the residual shows, in words; empty where nothing is wrong."""
+    if result.bend_um > BEND_LIMIT_UM:
+        return (
+            f"its residual is bent by {result.bend_um:.1f} um: the surface is not flat, the stage not straight, or the "
+            "lens distorts otherwise than calibrated"
+        )
+    if result.slope_um > 4 * LIMIT_UM:
+        return (
+            f"its residual slopes by {result.slope_um:.1f} um: its pose is wrong (a board that moved during the sweep)"
+        )
+    if not result.ok:
+        return f"it lies {result.mean_um:+.1f} um off the others: the board moved, the stage was homed, or lost steps"
+    return ""
