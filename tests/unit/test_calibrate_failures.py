@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -176,3 +177,27 @@ def test_good_sweeps_give_the_plane_with_the_estimate_named_and_it_can_be_made_a
     assert other["method"] == "linear"
     assert other["quality"]["recipe"] == plane["quality"]["recipe"]
     assert other["corner_origin_mm"] != plane["corner_origin_mm"]
+
+
+def test_a_reconstruction_with_another_estimate_uses_a_plane_that_is_made_again(good, tmp_path):
+    scans = [str(good / "flat"), str(good / "tilted")]
+    calibrate(tmp_path, "plane", *scans, *camera_file(tmp_path))
+    arguments = ["reconstruct", scans[0], "--calibration", str(tmp_path / "out.json"), "--method", "linear"]
+    run = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "points")], standalone_mode=False)
+    assert run.exception is None
+    assert "made again with linear from its own sweeps" in run.stderr
+    assert "the light plane was calibrated with the estimate" not in run.stderr
+    made = json.loads((tmp_path / "points" / "calibration-linear.json").read_text())
+    assert made["light_plane"]["method"] == "linear"
+
+
+def test_where_the_sweeps_are_gone_a_reconstruction_with_another_estimate_warns(good, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(good, moved)
+    calibrate(tmp_path, "plane", str(moved / "flat"), str(moved / "tilted"), *camera_file(tmp_path))
+    shutil.rmtree(moved / "tilted")
+    arguments = ["reconstruct", str(moved / "flat"), "--calibration", str(tmp_path / "out.json"), "--method", "linear"]
+    run = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "points")], standalone_mode=False)
+    assert "a sweep that the light plane was made of is gone" in run.stderr
+    assert "calibrated with the estimate auto, the points are made with linear" in run.stderr
+    assert not (tmp_path / "points" / "calibration-linear.json").exists()

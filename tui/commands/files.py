@@ -45,10 +45,12 @@ def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
 @json_option
 def reconstruct(scan: Path, as_json: bool, **options: object) -> int:
     """Turn a scan into maps and a coloured point cloud."""
+    from process.calibration.matching import matching
     from process.reconstruct import reconstruct as run
     from process.settings import ReconstructOptions
 
-    summary = run(scan, ReconstructOptions(**options))  # type: ignore[arg-type]
+    asked = ReconstructOptions(**options)  # type: ignore[arg-type]
+    summary = run(scan, matching(scan, asked, lambda text: click.echo(text, err=True)))
     _show_json(summary) if as_json else _show_words(summary)
     return 0 if summary.complete else EXIT_INCOMPLETE
 
