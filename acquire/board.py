@@ -83,6 +83,7 @@ class Board:
             zero_id=stage.zero_id,
             travel_steps=(travel.travel_min_steps, travel.travel_max_steps),
             stage_kind=stage_info.kind,
+            stage_version=stage_info.version[:128],
             camera_kind=camera_info.kind,
             lamp_on=stage.lamp_on,
             camera=msgspec.structs.asdict(settings),

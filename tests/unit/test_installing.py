@@ -1,4 +1,4 @@
-"""Pieces of installing: unit texts, going back, the doctor's findings, the packed report."""
+"""Pieces of installing: unit texts, going back, the packed report."""
 
 from __future__ import annotations
 
@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.config import load_config
-from acquire.contract.errors import NoServiceError, SweepscopeError
-from acquire.contract.messages import Status
-from tui.installing.doctor import examine
+from acquire.contract.errors import SweepscopeError
 from tui.installing.install import Installer, Wishes
 from tui.installing.journal import journal_command, pack, without_home
 from tui.installing.machine import InstallError, point, run
@@ -73,33 +70,6 @@ def test_what_was_never_installed_cannot_be_uninstalled(tmp_path: Path) -> None:
 def test_a_command_that_fails_is_named_with_its_last_word(tmp_path: Path) -> None:
     with pytest.raises(InstallError, match="'ls .*' failed: .*No such file"):
         run("ls", tmp_path / "none")
-
-
-def unreachable() -> Status:
-    raise NoServiceError("no rig daemon answers")
-
-
-def findings(tmp_path: Path, **environ: str) -> dict[str, tuple[str, str]]:
-    variables = {"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path)} | environ
-    found = examine(load_config(environ=variables), unreachable)
-    return {finding.name: (finding.level, finding.mend) for finding in found}
-
-
-def test_every_wrong_thing_comes_with_its_mend(tmp_path: Path) -> None:
-    found = findings(tmp_path, SWEEPSCOPE_STAGE__KIND="uno", SWEEPSCOPE_STAGE__PORT="/dev/nothing-there")
-    assert {"stage", "services"} <= {name for name, (level, _) in found.items() if level == "wrong"}
-    assert all(mend for level, mend in found.values() if level == "wrong")
-
-
-def test_a_disk_without_room_for_a_sweep_is_wrong(tmp_path: Path) -> None:
-    assert (
-        findings(tmp_path, SWEEPSCOPE_CAMERA__WIDTH="16384", SWEEPSCOPE_CAMERA__HEIGHT="16384")["space"][0] == "wrong"
-    )
-
-
-def test_measuring_the_disk_leaves_nothing_behind(tmp_path: Path) -> None:
-    assert findings(tmp_path)["disk speed"][0] in ("ok", "wrong")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_report_is_for_its_owner_only_and_replaces_nothing(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def _settings(
     """rig.toml of a first installation; what no flag says is asked at a terminal."""
     import sys
 
-    from tui.installing.doctor import cameras, serial_ports
+    from tui.installing.device_checks import cameras, serial_ports
 
     ports = serial_ports()
     if ask and sys.stdin.isatty() and not places.config.exists():

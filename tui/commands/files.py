@@ -110,9 +110,10 @@ def info(scan: Path, as_json: bool) -> None:
 @click.argument("where", metavar="[DIR]", type=click.Path(path_type=Path), required=False)
 @click.option("--seal", is_flag=True, help="Close interrupted scans for good: they can no longer be resumed.")
 @click.option("--compact", is_flag=True, help="Give back the space that closed scans reserved and do not need.")
+@click.option("--begun", is_flag=True, help="Only scans whose owner died since the last look: quick, for each start.")
 @json_option
 @click.pass_obj
-def recover(session: Session, where: Path | None, seal: bool, compact: bool, as_json: bool) -> int:
+def recover(session: Session, where: Path | None, seal: bool, compact: bool, begun: bool, as_json: bool) -> int:
     """Look after scans that nobody owns any more.
 
     DIR is a folder of scans [storage.data_dir] or one scan. Every committed frame is verified; a scan that was
@@ -123,7 +124,7 @@ def recover(session: Session, where: Path | None, seal: bool, compact: bool, as_
     if where is not None and not where.exists():
         raise ScanFileError(f"{where} does not exist: give a folder of scans, or one scan")
     unreadable, facts = False, []
-    for found in run(where or session.config().data_dir, RecoverOptions(seal=seal, compact=compact)):
+    for found in run(where or session.config().data_dir, RecoverOptions(seal, compact, begun_only=begun)):
         unreadable |= found.state == "unreadable"
         facts.append(found)
         if not as_json:
