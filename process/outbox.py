@@ -1,27 +1,32 @@
-"""Owns what the worker says on the results lane: progress, tiles that changed, the end, and all of it to a newcomer."""
+"""Owns what the worker says on the results lane: progress, tiles, maps, the end, and all of it to a newcomer."""
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import Any
 
 import msgspec
 import zmq
 
+from acquire.contract.errors import SweepscopeError
 from acquire.contract.lanes import Sender
-from acquire.contract.messages import ResultEnd, ResultProgress, ResultTiles
+from acquire.contract.messages import ResultEnd, ResultMaps, ResultProgress, ResultTiles
 from acquire.contract.units import NS_PER_MS
 
+from . import live_maps
 from .live_tiles import LiveTiles
 from .preview import Preview
 from .session import ScanSession
+
+logger = logging.getLogger(__name__)
 
 PROGRESS_NS = 100 * NS_PER_MS
 HEARTBEAT_NS = 1000 * NS_PER_MS
 PREVIEW_LEAST_NS = 250 * NS_PER_MS
 REST = 3
 """Previews rest for so many times what the last one cost: at most a quarter of the time goes into them."""
-_SUBSCRIBED = b"\x01"
+_SUBSCRIBED, _UNSUBSCRIBED = b"\x01", b"\x00"
 
 
 class Outbox:
@@ -37,6 +42,10 @@ class Outbox:
         self._progress = ResultProgress(version=0, folded_through=-1, expected=0, message="no scan yet")
         self._progress_ns = self._preview_ns = 0
         self._version = 0
+        self.wants_preview = False
+        """Somebody came who has not seen the maps; they do not wait for the next frame."""
+        self._maps_ns = 0
+        self._watched = False
         self.dropped = 0
         """Messages that found a full queue."""
 
@@ -44,7 +53,7 @@ class Outbox:
         """A new scan: what was shown before is forgotten."""
         self._tiles = LiveTiles(session.form.width, session.form.height)
         self._end = None
-        self._preview_ns = 0
+        self._preview_ns = self._maps_ns = 0
         self._send_tiles(session, *self._tiles.snapshot(), snapshot=True)
         self.say_progress(session, now_ns=0)
 
@@ -59,14 +68,18 @@ class Outbox:
         asked = False
         while True:
             try:
-                asked |= self.socket.recv(zmq.NOBLOCK)[:1] == _SUBSCRIBED
+                word = self.socket.recv(zmq.NOBLOCK)[:1]
             except zmq.Again:
                 break
+            asked |= word == _SUBSCRIBED
+            self._watched = word != _UNSUBSCRIBED  # said when the last one leaves
         if not asked:
             return
         self.say_progress(session, time.monotonic_ns())
         if session is not None and self._tiles is not None:
             self._send_tiles(session, *self._tiles.snapshot(), snapshot=True)
+            self._maps_ns, self.wants_preview = 0, True
+            self.say_maps_on_disk(session)
         if self._end is not None:
             self._send(self._end)
 
@@ -88,15 +101,31 @@ class Outbox:
     def say_preview(self, session: ScanSession) -> None:
         """The tiles that changed; the next preview waits in proportion to the cost of this one."""
         start_ns = time.monotonic_ns()
+        self.wants_preview = False
         preview = session.preview()
         if preview is not None and preview.cloud is not None:
             self._say_points(session, preview, final=False)
+        if preview is not None and preview.maps is not None and self._watched and start_ns >= self._maps_ns:
+            self._maps_ns = start_ns + live_maps.PERIOD_NS
+            self._say_maps(live_maps.sampled(session, preview.maps))
         end_ns = time.monotonic_ns()
         self._preview_ns = end_ns + max(PREVIEW_LEAST_NS, REST * (end_ns - start_ns))
 
     def say_final(self, session: ScanSession, preview: Preview) -> None:
         """The exact points, all of them, none provisional."""
         self._say_points(session, preview, final=True)
+
+    def say_maps_on_disk(self, session: ScanSession) -> None:
+        """The finished maps, if anybody is there to see them."""
+        if session.results is None or not self._watched:
+            return
+        try:
+            self._say_maps(live_maps.on_disk(session, session.results.paths.maps))
+        except SweepscopeError as error:
+            logger.warning("%s", error)  # somebody took them away again; the lane owes nobody a picture
+
+    def _say_maps(self, news: live_maps.MapsNews) -> None:
+        self._send(msgspec.structs.replace(news[0], version=self._version), news[1])
 
     def say_end(self, end: ResultEnd) -> None:
         """Maps and cloud are on disk."""
@@ -123,5 +152,7 @@ class Outbox:
         )
         self._send(message, payload)
 
-    def _send(self, message: ResultProgress | ResultTiles | ResultEnd, payload: bytes | None = None) -> None:
+    def _send(
+        self, message: ResultProgress | ResultTiles | ResultMaps | ResultEnd, payload: bytes | None = None
+    ) -> None:
         self.dropped += not self._sender.send(message, payload)

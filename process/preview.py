@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .cloud import Cloud
+from .crossings import Maps
 from .cursor import FoldCursor
 from .outputs import cloud_of
 from .settings import Settings
@@ -34,6 +35,8 @@ class Preview:
     provisional: NDArray[np.bool_]
     """[n], True while the point's pixel may still get brighter."""
     counts: ShownCounts
+    maps: Maps | None = None
+    """What the points were made of; None once that is on disk."""
 
 
 def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np.float64]) -> Preview:
@@ -54,4 +57,6 @@ def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np
         age = cursor.fold.folded_through - maps.last_record.ravel()[cloud.pixels]
         provisional = (age < SETTLED_AFTER_FRAMES) & (not cursor.done)
     moving = int(provisional.sum())
-    return Preview(cloud, provisional, ShownCounts(maps.counts["over_contrast"], len(provisional) - moving, moving))
+    return Preview(
+        cloud, provisional, ShownCounts(maps.counts["over_contrast"], len(provisional) - moving, moving), maps
+    )

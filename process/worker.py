@@ -226,7 +226,7 @@ class Worker:
                 self._finish(session)
             elif session.results is not None:
                 self._refresh(session)
-            elif self._news and self.outbox.preview_due(self._clock.now_ns()):
+            elif (self._news or self.outbox.wants_preview) and self.outbox.preview_due(self._clock.now_ns()):
                 self.outbox.say_preview(session)
         except SweepscopeError as error:
             self._fail(session, str(error))
@@ -257,6 +257,7 @@ class Worker:
         if results.cloud is not None:
             still = np.zeros(len(results.cloud), np.bool_)
             self.outbox.say_final(session, Preview(results.cloud, still, ShownCounts()))
+        self.outbox.say_maps_on_disk(session)
         self._refresh_ns = 0
         self._refresh_until_ns = self._clock.now_ns() + REFRESH_FOR_NS
         self._news = True

@@ -18,7 +18,7 @@ from zmq.utils.monitor import recv_monitor_message
 from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.errors import ProtocolError
 from acquire.contract.lanes import Received, open_socket, receive
-from acquire.contract.messages import Message, ResultEnd, ResultProgress, ResultTiles, Status
+from acquire.contract.messages import Message, ResultEnd, ResultMaps, ResultProgress, ResultTiles, Status
 from acquire.contract.places import endpoint
 
 from .tiles import Tile, parse_tiles
@@ -191,6 +191,9 @@ class Feed:
             with self._lock:
                 self._now = replace(self._now, status=message, daemon=replace(self._now.daemon, heard_ns=now_ns))
             return False
+        if isinstance(message, ResultMaps):  # for the console; it is counted, so that its number is no gap
+            with self._lock:
+                return self._count_gap(message)
         if not isinstance(message, ResultProgress | ResultTiles | ResultEnd):
             raise ProtocolError(f"a {type(message).__name__} does not belong on this lane")
         tiles, left_out = _points(received)

@@ -9,7 +9,7 @@ import sys
 import time
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from acquire.contract.messages import (
     Image,
     Message,
     ResultEnd,
+    ResultMaps,
     ResultProgress,
     ResultTiles,
     Start,
@@ -101,6 +102,7 @@ class Heard:
     progress: list[ResultProgress]
     tiles: list[tuple[ResultTiles, bytes]]
     ends: list[ResultEnd]
+    maps: list[tuple[ResultMaps, bytes]] = field(default_factory=list)
 
 
 class Listener:
@@ -126,6 +128,8 @@ class Listener:
             self.heard.progress.append(message)
         elif isinstance(message, ResultTiles):
             self.heard.tiles.append((message, payload))
+        elif isinstance(message, ResultMaps):
+            self.heard.maps.append((message, payload))
         elif isinstance(message, ResultEnd):
             self.heard.ends.append(message)
 
