@@ -92,7 +92,6 @@ class Board:
             counters=lane.counters | preview.counters | interlude.counters,
             faults=self.faults,
             message=self.message,
-            stage_version=stage_info.version,
             control=control.holder(now_ns),
             activity=interlude.doing,
             activity_share=interlude.share,
