@@ -48,6 +48,16 @@ class StageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Rest between the end of a step and the trigger, in ms."""
     motion_lease_ms: PositiveMs = 1000.0
     """The controller stops by itself when the host is silent for so long, in ms."""
+    invert_direction: bool = False
+    """True: positions grow while DIR is low (the motor's coils are the other way round)."""
+    limit_switch: Literal["near", "far", "none"] = "near"
+    """The end of the travel at which the limit switch is fitted; ``none``: the stage is zeroed by hand."""
+    limit_closes: bool = False
+    """True: the limit switch closes when pressed; the default opens, so that a broken wire stops the stage."""
+    estop_closes: bool = False
+    """The same for the emergency stop."""
+    strobe_falls: bool = False
+    """True: the camera's exposure output falls at the begin of the exposure."""
 
 
 class CameraConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

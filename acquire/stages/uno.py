@@ -10,7 +10,7 @@ from acquire.contract.errors import CommandRefusedError, ConfigError
 from acquire.framing import Block
 
 from .link import LinkLostError
-from .protocol import Segment, StageInfo, StageSink
+from .protocol import Moved, Segment, StageInfo, StageSink
 from .uno_config import segment_body
 from .uno_reports import Activity, UnoReports, result_of
 from .uno_words import refusal
@@ -69,7 +69,7 @@ class UnoStage(UnoReports):
             boot_id=f"{hello.boot_id:08x}",
             counts_triggers=True,
             counts_strobes=True,
-            has_limit_switch=True,
+            has_limit_switch=self._has_switch,
             modes=("step", "fly"),
         )
 
@@ -93,6 +93,8 @@ class UnoStage(UnoReports):
 
     def home(self) -> None:
         """Find the limit switch; makes a new zero."""
+        if not self._has_switch:
+            raise CommandRefusedError("stage.limit_switch = 'none': jog to the near end of the travel, then zero")
         self._start("home", Cmd.HOME)
 
     def zero_here(self) -> None:
@@ -100,8 +102,16 @@ class UnoStage(UnoReports):
         self._start("zero", Cmd.ZERO, ZeroBody(0).pack())
 
     def check_limit(self) -> None:
-        """Touch the limit switch again."""
-        self._start("touch", Cmd.TOUCH)
+        """Touch the limit switch again; without one the report follows at once, and says nothing of lost steps."""
+        if self._has_switch:
+            self._start("touch", Cmd.TOUCH)
+            return
+        status = self.status()
+        self._sink(Moved(status.position_steps, status.position_trusted, status.zero_id, steps_lost=None))
+
+    @property
+    def _has_switch(self) -> bool:
+        return self._config.limit_switch != "none"
 
     def begin_segment(self, segment: Segment, may_trigger_through: int) -> int:
         """Start a segment; the firmware runs it by itself as far as it is granted."""

@@ -16,6 +16,7 @@ from .wire import (
     SHOTS_MAX,
     WAIT_MAX_US,
     ConfigBody,
+    ConfigFlag,
     Mode,
     SegmentBody,
 )
@@ -30,8 +31,22 @@ _FLY_RESUME_SHOTS = 8
 
 
 def switch_position_steps(config: StageConfig) -> int:
-    """Position of the limit switch's edge: beyond the run-up of a sweep that begins at the travel's near end."""
-    return config.travel_min_steps - config.run_up_steps - 2 * _SWITCH_GAP_STEPS
+    """Position of the limit switch's edge: beyond the run-up of a sweep that begins at that end of the travel."""
+    beyond = config.run_up_steps + 2 * _SWITCH_GAP_STEPS
+    return config.travel_max_steps + beyond if config.limit_switch == "far" else config.travel_min_steps - beyond
+
+
+def wiring_flags(config: StageConfig) -> ConfigFlag:
+    """What the firmware has to know of the wiring."""
+    named = {
+        ConfigFlag.INVERT_DIRECTION: config.invert_direction,
+        ConfigFlag.LIMIT_CLOSES: config.limit_closes,
+        ConfigFlag.ESTOP_CLOSES: config.estop_closes,
+        ConfigFlag.HOME_POSITIVE: config.limit_switch == "far",
+        ConfigFlag.NO_LIMIT: config.limit_switch == "none",
+        ConfigFlag.STROBE_FALLS: config.strobe_falls,
+    }
+    return ConfigFlag(sum(flag for flag, wanted in named.items() if wanted))
 
 
 def config_body(config: StageConfig) -> ConfigBody:
@@ -54,7 +69,7 @@ def config_body(config: StageConfig) -> ConfigBody:
         trigger_pulse_us=_TRIGGER_PULSE_US,
         lease_ms=_within("stage.motion_lease_ms", config.motion_lease_ms, LEASE_MIN_MS, LEASE_MAX_MS),
         lamp_warm_up_ms=0,
-        flags=0,
+        flags=int(wiring_flags(config)),
     )
 
 

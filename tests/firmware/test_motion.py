@@ -8,8 +8,9 @@ import pytest
 
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.emulator import FIRMWARE_DIR
-from acquire.stages.protocol import Alarm, Moved, Stopped
+from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, Stopped
 from acquire.stages.uno_config import switch_position_steps
+from tests.firmware.conftest import LIMIT_AT
 
 
 def make(build_dir, target):
@@ -120,3 +121,29 @@ def test_the_lamp_follows_its_command_and_is_dark_after_closing(bench):
     bench.until(lambda: bench.pins().lamp == 1)
     bench.stage.close()
     bench.until(lambda: bench.pins().lamp == 0, alive=False)
+
+
+# ---- wiring that the configuration names ----
+
+
+def test_a_switch_at_the_far_end_of_a_motor_that_turns_the_other_way_is_found(make_bench):
+    bench = make_bench(homed=False, invert_direction=True, limit_switch="far")
+    bench.stage.home()
+    moved = bench.wait(Moved)
+    assert moved.position_trusted and moved.position_steps == switch_position_steps(bench.config) - 50
+    assert bench.pins().position == LIMIT_AT + 50
+    bench.stage.check_limit()
+    assert bench.wait(Moved).steps_lost == 0
+
+
+def test_without_a_switch_the_stage_is_zeroed_by_hand_and_sweeps(make_bench):
+    bench = make_bench(homed=False, limit_switch="none")
+    assert not bench.info.has_limit_switch
+    with pytest.raises(CommandRefusedError, match="then zero"):
+        bench.stage.home()
+    bench.stage.zero_here()
+    assert bench.wait(Moved).position_trusted
+    bench.stage.check_limit()
+    assert bench.wait(Moved).steps_lost is None
+    bench.stage.begin_segment(Segment(6, 3, 3), 2)
+    assert bench.wait(SegmentDone).position_steps == 12
