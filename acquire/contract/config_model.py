@@ -161,6 +161,8 @@ class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """TCP port; 0 takes any free one."""
     max_points: Annotated[int, Meta(ge=1000, le=20_000_000)] = 2_000_000
     """Points sent to a browser; a larger cloud is thinned evenly and the page says so."""
+    max_bytes_per_s: Annotated[float, Meta(ge=50_000, le=1e9)] = 16_000_000.0
+    """Bytes per second that one browser is sent at most."""
 
 
 class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,23 +1,32 @@
-"""Owns the cloud in the scene: a fixed set of nodes, each a few tiles; only nodes with changed tiles are sent.
+"""Owns what there is to be seen: tiles grouped into a fixed set of nodes, how they are coloured, clipped and thinned.
 
-All nodes hang on one frame that carries the origin, and have no pose of their own: a browser that draws slowly applies
-the pose of a replaced node late, and would show tiles in wrong places until then.
+Nothing is sent from here: a courier for each browser compares its own state with the numbers kept here, and asks for
+the nodes that it lacks. What is prepared for one browser is kept a while for the others.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
-import viser
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.units import NS_PER_S
 
 from .feed import TileNews
+from .look import FittedPlane, Legend, Look, Range, chosen_range, colours_of, fit_plane, legend_of, sample, values_of
 from .tiles import Bounds, Tile, bounds_of, merged, power_of_two
 
 MAX_NODES = 256
 """Thousands of nodes choke the page: with more tiles than this, neighbours share a node."""
-POINTS_PER_TURN = 80_000
-"""Points sent at once; the rest follows in the next turn, oldest change first (15 bytes each on the wire)."""
+OVERVIEW_POINTS = 100_000
+"""What a browser gets first: 1.5 MB, a first picture within two seconds at 1 MB/s."""
+POINT_BYTES = 15
+"""Three float32 and three colour bytes."""
+COLOUR_BYTES = 3
 POINT_FILL = 1.25
 """Diameter of a drawn point in units of the distance of neighbours: no gaps, no clutter."""
 RESIZE = 1.25
@@ -25,123 +34,206 @@ RESIZE = 1.25
 NEAR_MM = 100.0
 """Within this distance of the origin float32 steps are below 0.01 um."""
 DEFAULT_POINT_MM = 0.02
+RANGE_NS = 2 * NS_PER_S
+"""Least time between two changes of an automatic range: each recolours everything."""
+CACHE_BYTES = 48_000_000
+"""Prepared nodes kept for other browsers."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One node, ready to be sent."""
+
+    points: NDArray[np.float32]
+    """Shape [n, 3], mm about the cloud's origin."""
+    colours: NDArray[np.uint8]
+    """Shape [n, 3] RGB."""
 
 
 class Cloud:
-    """Mirrors the worker's tiles into viser nodes within the budget of points."""
+    """Mirrors the worker's tiles (or those of an older scan). One thread calls everything."""
 
-    def __init__(self, server: viser.ViserServer, max_points: int) -> None:
-        self._scene = server.scene
-        self._max_points = max_points
+    def __init__(self, look: Look | None = None) -> None:
+        self._look = look or Look()
         self._tiles: dict[int, Tile] = {}
-        self._nodes: dict[int, viser.PointCloudHandle] = {}
-        self._dirty: OrderedDict[int, None] = OrderedDict()
-        self._tiles_per_node = 1
-        self._origin_mm: tuple[float, float, float] | None = None
+        self._geometry = 0
+        self._range_ns = -RANGE_NS
+        self._values: NDArray[np.float32] | None = None
+        self._cache: OrderedDict[tuple[int, int], tuple[int, int, Tile, Prepared]] = OrderedDict()
+        self._cached_bytes = 0
+        self.tiles_per_node = 1
+        self.marks: dict[int, int] = {}
+        """The nodes that there are, each with the number of its last change."""
+        self.counts: dict[int, int] = {}
+        """Points of each node before thinning and clipping."""
+        self.paint = 0
+        """Changes whenever all colours do."""
+        self.origin_mm: tuple[float, float, float] | None = None
+        self.range: Range | None = None
+        self.plane: FittedPlane | None = None
         self._point_mm = DEFAULT_POINT_MM
-        self.size_factor = 1.0
-        """The operator's choice, multiplied onto the size of a point."""
-        self.keep_one_of = 1
-        """1: all points are shown; n: one of n, spread evenly."""
+
+    # ---- what is known ----
+
+    @property
+    def look(self) -> Look:
+        """How it is shown."""
+        return self._look
+
+    @property
+    def tiles(self) -> Mapping[int, Tile]:
+        """All tiles by number."""
+        return self._tiles
 
     @property
     def points(self) -> int:
         """Number of points of all tiles, shown or not."""
-        return sum(tile.count for tile in self._tiles.values())
+        return sum(self.counts.values())
 
     @property
-    def pending(self) -> int:
-        """Nodes that wait to be sent."""
-        return len(self._dirty)
+    def fine(self) -> int:
+        """1: all points are shown in the end; n: one of n, spread evenly."""
+        return power_of_two(self.points, self._look.max_points)
+
+    @property
+    def coarse(self) -> int:
+        """One of so many points makes the overview that comes first."""
+        return max(self.fine, power_of_two(self.points, OVERVIEW_POINTS))
 
     def bounds(self) -> Bounds | None:
         """A box around nearly all points, None without any."""
         return bounds_of(self._tiles.values())
 
+    def size_mm(self, one_of: int) -> float:
+        """Diameter of a drawn point when one of so many is shown."""
+        return round(self._point_mm * self._look.size_factor * one_of**0.5, 7)
+
+    def legend(self) -> Legend | None:
+        """The legend of the shown quantity; None for a photograph."""
+        if self._look.mode == "photograph" or self.range is None or self._values is None:
+            return None
+        return legend_of(self._look.mode, self.range, self._values, self.plane)
+
+    # ---- what changes ----
+
     def take(self, news: TileNews) -> None:
-        """Note what changed; nothing is sent before :meth:`draw`."""
+        """Note tiles that changed."""
+        if not news.reset and not news.tiles:
+            return
+        gone: set[int] = set()
         if news.reset:
-            gone = {number: tile for number, tile in self._tiles.items() if number not in news.tiles}
-            self._touch(gone)
-            for number in gone:
-                self._dirty.move_to_end(number // self._tiles_per_node, last=False)  # what is gone, goes first
+            gone = set(self._tiles) - set(news.tiles)
             self._tiles.clear()
         self._tiles.update(news.tiles)
-        self._set_origin()
-        self._touch(news.tiles)
+        self._choose_origin()
         needed = power_of_two(max(self._tiles, default=0) + 1, MAX_NODES)
-        if needed > self._tiles_per_node:
+        if needed > self.tiles_per_node:
             self._regroup(needed)
-        keep_one_of = power_of_two(self.points, self._max_points)
-        if keep_one_of != self.keep_one_of:
-            self.keep_one_of = keep_one_of
-            self._touch(self._tiles)
+        else:
+            self._touch({tile // self.tiles_per_node for tile in gone | set(news.tiles)})
+        self._choose_size()
+        self._values = None
 
-    def draw(self) -> int:
-        """Send changed nodes up to the budget of one turn; returns the number of points sent."""
-        self._resize()
-        sent = 0
-        while self._dirty and sent < POINTS_PER_TURN:
-            node, _ = self._dirty.popitem(last=False)
-            sent += self._draw_node(node)
-        return sent
+    def show(self, look: Look) -> None:
+        """Show it in another way from now on."""
+        if look == self._look:
+            return
+        before, self._look = self._look, look
+        if look.box != before.box:
+            self._touch(set(self.marks))
+        if (look.mode, look.low, look.high) != (before.mode, before.low, before.high):
+            self._values = None
+            self._range_ns = -RANGE_NS
+            self.paint += 1
 
-    def _resize(self) -> None:
-        """Keep the size of a point in step with the distance of neighbours, without resending the points."""
+    def settle(self, now_ns: int) -> None:
+        """Bring range and fitted plane up to date; they change seldom, because everything is recoloured then."""
+        if self._look.mode == "photograph" or self._values is not None or now_ns - self._range_ns < RANGE_NS:
+            return
+        self._range_ns = now_ns
+        plane = fit_plane(self._tiles.values()) if self._look.mode == "deviation" else None
+        parts = [values_of(tile, self._look.mode, plane) for tile in sample(self._tiles.values())]
+        self._values = np.concatenate(parts) if parts else np.zeros(0, np.float32)
+        within = chosen_range(self._look, self._values)
+        if within != self.range or plane != self.plane:
+            self.paint += 1
+        self.range, self.plane = within, plane
+
+    def prepared(self, node: int, one_of: int) -> Prepared:
+        """One node thinned to ``one_of``, clipped and coloured.
+
+        Raises:
+            KeyError: there is no such node.
+        """
+        geometry = self.marks[node]
+        known = self._cache.pop((node, one_of), None)
+        if known is not None:
+            self._cached_bytes -= len(known[3].points) * POINT_BYTES
+            if known[:2] == (geometry, self.paint):
+                return self._keep((node, one_of), known)
+        tile = known[2] if known is not None and known[0] == geometry else self._node_tile(node, one_of)
+        colours = colours_of(tile, self._look.mode, self.range, self.plane)
+        return self._keep((node, one_of), (geometry, self.paint, tile, Prepared(tile.xyz, colours)))
+
+    def centre_mm(self, node: int) -> tuple[float, float, float]:
+        """About where a node is."""
+        first = node * self.tiles_per_node
+        for number in range(first, first + self.tiles_per_node):
+            if number in self._tiles:
+                return self._tiles[number].origin_mm
+        return self.origin_mm or (0.0, 0.0, 0.0)
+
+    # ---- inside ----
+
+    def _keep(self, key: tuple[int, int], entry: tuple[int, int, Tile, Prepared]) -> Prepared:
+        self._cache[key] = entry
+        self._cached_bytes += len(entry[3].points) * POINT_BYTES
+        while self._cached_bytes > CACHE_BYTES and len(self._cache) > 1:
+            _, dropped = self._cache.popitem(last=False)
+            self._cached_bytes -= len(dropped[3].points) * POINT_BYTES
+        return entry[3]
+
+    def _node_tile(self, node: int, one_of: int) -> Tile:
+        tiles = list(self._members(node))
+        shown = merged(tiles, self.origin_mm or (0.0, 0.0, 0.0)).thinned(one_of)
+        return shown if self._look.box is None else shown.inside(self._look.box)
+
+    def _members(self, node: int) -> Iterable[Tile]:
+        first = node * self.tiles_per_node
+        for number in range(first, first + self.tiles_per_node):
+            tile = self._tiles.get(number)
+            if tile is not None and tile.count:
+                yield tile
+
+    def _touch(self, nodes: set[int]) -> None:
+        for node in sorted(nodes):
+            count = sum(tile.count for tile in self._members(node))
+            if count:
+                self._geometry += 1
+                self.marks[node] = self._geometry
+                self.counts[node] = count
+            else:
+                self.marks.pop(node, None)
+                self.counts.pop(node, None)
+
+    def _regroup(self, tiles_per_node: int) -> None:
+        self.tiles_per_node = tiles_per_node
+        self.marks.clear()
+        self.counts.clear()
+        self._touch({tile // tiles_per_node for tile in self._tiles})
+
+    def _choose_origin(self) -> None:
+        """Coordinates are float32 about a point near the object, so that steps far below 0.1 um survive."""
+        first = next((tile.origin_mm for tile in self._tiles.values() if tile.count), None)
+        if first is None or (self.origin_mm is not None and math.dist(first, self.origin_mm) < NEAR_MM):
+            return
+        self.origin_mm = first
+        self._touch(set(self.marks))
+
+    def _choose_size(self) -> None:
+        """Keep the size of a point in step with the distance of neighbours."""
         spacings = sorted(s for tile in self._tiles.values() if (s := tile.spacing_mm))
         if spacings:
             wanted = POINT_FILL * spacings[len(spacings) // 2]
             if not self._point_mm / RESIZE < wanted < self._point_mm * RESIZE:
                 self._point_mm = wanted
-        for node in self._nodes.values():
-            if node.point_size != self._drawn_mm():
-                node.point_size = self._drawn_mm()
-
-    def _set_origin(self) -> None:
-        """Coordinates are float32 about a point near the object, so that steps far below 0.1 um survive."""
-        first = next((tile.origin_mm for tile in self._tiles.values() if tile.count), None)
-        if first is None or (self._origin_mm is not None and math.dist(first, self._origin_mm) < NEAR_MM):
-            return
-        self._origin_mm = first
-        self._remove_nodes()
-        self._scene.add_frame("/cloud", show_axes=False, position=first)
-        self._touch(self._tiles)
-
-    def _remove_nodes(self) -> None:
-        for node in self._nodes.values():
-            node.remove()
-        self._nodes.clear()
-        self._dirty.clear()
-
-    def _touch(self, tiles: dict[int, Tile]) -> None:
-        for tile in tiles:
-            self._dirty[tile // self._tiles_per_node] = None
-
-    def _regroup(self, tiles_per_node: int) -> None:
-        self._remove_nodes()
-        self._tiles_per_node = tiles_per_node
-        self._touch(self._tiles)
-
-    def _draw_node(self, node: int) -> int:
-        first = node * self._tiles_per_node
-        numbers = range(first, first + self._tiles_per_node)
-        tiles = [tile for number in numbers if (tile := self._tiles.get(number)) is not None and tile.count]
-        if not tiles or self._origin_mm is None:
-            gone = self._nodes.pop(node, None)
-            if gone is not None:
-                gone.remove()
-            return 0
-        shown = merged(tiles, self._origin_mm).thinned(self.keep_one_of)
-        self._nodes[node] = self._scene.add_point_cloud(
-            f"/cloud/{node:03d}",
-            points=shown.xyz,
-            colors=shown.shown_rgb(),
-            point_size=self._drawn_mm(),
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",  # the default, float16, errs by microns
-        )
-        return shown.count
-
-    def _drawn_mm(self) -> float:
-        return self._point_mm * self.size_factor * self.keep_one_of**0.5

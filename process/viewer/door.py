@@ -14,7 +14,7 @@ import http.client
 import io
 import logging
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, MutableMapping
 from http import HTTPStatus
 from typing import Any
 
@@ -29,9 +29,11 @@ from websockets.http11 import Request, Response
 from acquire.contract.errors import ConfigError, SweepscopeError
 
 from .guard import Gate, Verdict, Visit
+from .wire import Meter, metered
 
 MAX_UPLOAD_BYTES = 1024 * 1024
 """Largest message taken from a browser; ours are clicks and camera poses."""
+DEFAULT_BYTES_PER_S = 16_000_000.0
 PROOF_TIMEOUT_S = 10.0
 _EVIL = "https://evil.example"
 
@@ -46,6 +48,14 @@ class GuardError(SweepscopeError):
 
 class Page(viser.ViserServer):
     """viser's server without its way to publish the page through a tunnel."""
+
+    meters: MutableMapping[Any, Meter]
+    """What each connection was sent."""
+
+    def meter_of(self, client_id: int) -> Meter | None:
+        """The meter of one browser; None once it is gone."""
+        connection = self._websock_server._live_connections.get(client_id)
+        return self.meters.get(connection) if connection is not None else None
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refused: the page stays on this machine."""
@@ -70,14 +80,18 @@ def listen(host: str, port: int) -> socket.socket:
         ) from None
 
 
-def open_page(gate: Gate, listener: socket.socket, label: str = "sweepscope") -> Page:
+def open_page(
+    gate: Gate, listener: socket.socket, label: str = "sweepscope", max_bytes_per_s: float = DEFAULT_BYTES_PER_S
+) -> Page:
     """A page behind the gate, proven to refuse strangers; nobody is let in before :meth:`Gate.arm`.
 
     Raises:
         GuardError: the guard is not in front of the page, or lets a stranger in.
     """
-    with _guarded_serve(gate, listener) as used, _quiet():
+    meters: MutableMapping[Any, Meter] = {}
+    with _guarded_serve(gate, listener, meters, max_bytes_per_s) as used, _quiet():
         page = Page(host=gate.bound_host, port=listener.getsockname()[1], label=label, verbose=False)
+    page.meters = meters
     try:
         if not used:
             raise GuardError("this version of viser cannot be guarded: install the pinned viser and websockets")
@@ -107,7 +121,9 @@ def _quiet() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _guarded_serve(gate: Gate, listener: socket.socket) -> Iterator[list[socket.socket]]:
+def _guarded_serve(
+    gate: Gate, listener: socket.socket, meters: MutableMapping[Any, Meter], max_bytes_per_s: float
+) -> Iterator[list[socket.socket]]:
     original = websockets.asyncio.server.serve
     used: list[socket.socket] = []
 
@@ -116,7 +132,7 @@ def _guarded_serve(gate: Gate, listener: socket.socket) -> Iterator[list[socket.
         used.append(listener)
         options["process_request"] = _ask_first(gate, options.get("process_request"))
         options |= {"max_size": MAX_UPLOAD_BYTES, "server_header": None, "logger": _log}
-        return original(handler, sock=listener, **options)
+        return original(metered(handler, meters, max_bytes_per_s), sock=listener, **options)
 
     websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
     try:

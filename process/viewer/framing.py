@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 import viser
@@ -18,6 +19,13 @@ from .tiles import Bounds
 FOV_RAD = math.radians(40)
 DIRECTION = np.array([0.35, -0.8, 0.65]) / np.linalg.norm([0.35, -0.8, 0.65])
 """From the object to the eye: from in front, above, a little aside."""
+VIEWS: Final[dict[str, tuple[float, float, float]]] = {
+    "Top": (0.0, -0.002, 1.0),  # straight down has no up
+    "Front": (0.0, -1.0, 0.0),
+    "Side": (1.0, 0.0, 0.0),
+    "Iso": (0.577, -0.577, 0.577),
+}
+"""Named directions from the object to the eye."""
 MARGIN = 1.05
 ASPECT = 1.2
 """Width by height of the picture beside the panel; a narrower window cuts the sides."""
@@ -49,15 +57,15 @@ class Pose:
         return shift > TOUCHED * other.distance_mm
 
 
-def overview(bounds: Bounds) -> Pose:
-    """The nearest pose along :data:`DIRECTION` from which all corners of the box are seen."""
+def overview(bounds: Bounds, direction: NDArray[np.float64] = DIRECTION) -> Pose:
+    """The nearest pose along a unit ``direction`` from which all corners of the box are seen."""
     corners = np.array(list(itertools.product(*zip(bounds.low, bounds.high, strict=True)))) - bounds.centre
-    right = np.cross(-DIRECTION, (0.0, 0.0, 1.0))
+    right = np.cross(-direction, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
-    up = np.cross(right, -DIRECTION)
+    up = np.cross(right, -direction)
     reach = np.maximum(np.abs(corners @ up), np.abs(corners @ right) / ASPECT)
-    distance = float((MARGIN * reach / math.tan(FOV_RAD / 2) + corners @ DIRECTION).max())
-    return Pose(bounds.centre + max(distance, MIN_DISTANCE_MM) * DIRECTION, bounds.centre)
+    distance = float((MARGIN * reach / math.tan(FOV_RAD / 2) + corners @ direction).max())
+    return Pose(bounds.centre + max(distance, MIN_DISTANCE_MM) * direction, bounds.centre)
 
 
 @dataclass
@@ -65,6 +73,7 @@ class _Viewer:
     set_to: Pose
     set_ns: int
     follows: bool = True
+    direction: NDArray[np.float64] = field(default_factory=lambda: DIRECTION)
 
 
 class Framing:
@@ -90,10 +99,15 @@ class Framing:
             if viewer is not None and viewer.follows:
                 self._set(client, viewer)
 
-    def fit(self, client: viser.ClientHandle) -> None:
-        """Bring one browser back to the overview, and let it follow again."""
+    def fit(self, client: viser.ClientHandle, view: str = "") -> None:
+        """Show one browser the whole object, from a named direction or the usual one, and let it follow again.
+
+        Raises:
+            KeyError: there is no view of that name.
+        """
         viewer = self._viewers.setdefault(client.client_id, _Viewer(overview(self._bounds), 0))
-        viewer.follows = True
+        direction = np.asarray(VIEWS[view] if view else DIRECTION, np.float64)
+        viewer.follows, viewer.direction = True, direction / np.linalg.norm(direction)
         self._set(client, viewer)
 
     def _outgrown(self, bounds: Bounds) -> bool:
@@ -107,7 +121,7 @@ class Framing:
         camera.near, camera.far = pose.distance_mm / 200, pose.distance_mm * 50
 
     def _set(self, client: viser.ClientHandle, viewer: _Viewer) -> None:
-        pose = overview(self._bounds)
+        pose = overview(self._bounds, viewer.direction)
         viewer.set_to, viewer.set_ns = pose, self._clock.now_ns()
         with contextlib.suppress(RuntimeError, AssertionError), client.atomic():
             client.camera.near, client.camera.far = pose.distance_mm / 200, pose.distance_mm * 50

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 
+from acquire.contract.colours import LEVELS, table
 from acquire.contract.messages import FaultReport, Status
-from acquire.contract.units import NS_PER_S, format_duration
+from acquire.contract.units import NS_PER_S, format_bytes, format_duration
 
 from .commands import Note
+from .delivery import LinkNews
 from .feed import Snapshot
-from .tiles import PROVISIONAL_RGB
+from .look import PROVISIONAL_RGB, Legend
 from .words import RUNNING, Heading, Remark, heading, remarks, saved_line, scan_name
 
 DEAD_PAGE_S = 4
@@ -40,6 +42,10 @@ STYLE = f"""<style>
 .sw-warning {{ border-color: #e8b339; }}
 div.sw-fault {{ margin-bottom: .7em; border-color: #ff6b5e; background: #35191a; }}
 .sw-saved {{ border-color: #56c271; font-weight: 600; }}
+.sw-bins {{ display: flex; align-items: flex-end; gap: 1px; height: 26px; margin-top: .4em; }}
+.sw-bins i {{ flex: 1; background: #5d6878; min-height: 1px; }}
+.sw-map {{ height: 12px; border-radius: 2px; }}
+.sw-ticks {{ display: flex; justify-content: space-between; font-size: 11px; color: #c3cad5; }}
 .sw-beat {{ color: #7d8796; font-size: 11px; }}
 .sw-dead {{ visibility: hidden; color: #fff; background: #a3231b; border-radius: 3px; padding: 0 .7em;
   animation: sw-dead 0s linear {DEAD_PAGE_S}s forwards; height: 0; overflow: hidden; }}
@@ -55,6 +61,12 @@ class Picture:
     """1: all points are shown; n: one of n, spread evenly."""
     floor_cell_mm: float = 0.0
     """Side of a cell of the floor; 0: there is none."""
+    points: int = 0
+    """Points of the cloud, shown or not."""
+    legend: Legend | None = None
+    """What the colours mean; None: they are those of the photograph."""
+    links: tuple[LinkNews, ...] = ()
+    """One for each browser."""
 
 
 def panel_html(snapshot: Snapshot, now_ns: int, picture: Picture) -> str:
@@ -150,9 +162,34 @@ def _flaws(status: Status) -> str:
 
 
 def _legend(picture: Picture) -> list[tuple[str, str]]:
-    if not picture.floor_cell_mm:
-        return []
-    return [("Floor, z = 0", f"{picture.floor_cell_mm:g} mm cells")]
+    rows = [("Floor, z = 0", f"{picture.floor_cell_mm:g} mm cells")] if picture.floor_cell_mm else []
+    if picture.links:
+        rows.append(("Browsers", _links_words(picture.links)))
+    return rows
+
+
+def _links_words(links: tuple[LinkNews, ...]) -> str:
+    sent = format_bytes(sum(link.bytes_per_s for link in links))
+    slow = sum(link.slow for link in links)
+    return f"{len(links)}, {sent}/s" + (f", {slow} slow: overview first" if slow else "")
+
+
+def legend_html(legend: Legend | None) -> str:
+    """Title, unit, histogram, bar and ticks of the shown quantity; empty for a photograph."""
+    if legend is None:
+        return ""
+    shades = [f"rgb({','.join(map(str, shade))})" for shade in table(legend.map_name)[:: LEVELS // 16].tolist()]
+    ticks = [legend.low + (legend.high - legend.low) * part / 4 for part in range(5)]
+    bars = "".join(f'<i style="height:{100 * part:.0f}%"></i>' for part in legend.bins)
+    clipped = f"{legend.below_percent:.1f} % below, {legend.above_percent:.1f} % above"
+    note = f'<div class="sw-beat">{escape(legend.note)}</div>' if legend.note else ""
+    return (
+        f'<div class="sw sw-legend"><b>{escape(legend.title)}</b>, {escape(legend.unit)}'
+        f'<div class="sw-bins">{bars}</div>'
+        f'<div class="sw-map" style="background:linear-gradient(to right,{",".join(shades)})"></div>'
+        f'<div class="sw-ticks num">{"".join(f"<span>{tick:,.{legend.decimals}f}</span>" for tick in ticks)}</div>'
+        f'<div class="sw-beat">{clipped}; provisional points darker</div>{note}</div>'
+    )
 
 
 def _table(rows: list[tuple[str, str]]) -> str:

@@ -16,7 +16,7 @@ from acquire.contract.units import NS_PER_S
 from .commands import CommandLine
 from .feed import Snapshot
 from .markup import STYLE, Picture, beat_html, note_html, panel_html
-from .scene import Scene
+from .widgets import write
 from .words import allowed, heading
 
 BEAT_NS = NS_PER_S
@@ -40,9 +40,7 @@ class Panel:
 
     def show(self, snapshot: Snapshot, now_ns: int, picture: Picture) -> None:
         """Write what changed; the clock once a second."""
-        html = panel_html(snapshot, now_ns, picture)
-        if html != self._text.content:
-            self._text.content = html
+        write(self._text, content=panel_html(snapshot, now_ns, picture))
         if now_ns - self._beat_ns >= BEAT_NS:
             self._beat_ns = now_ns
             self._beat.content = beat_html(time.strftime("%H:%M:%S"), self._view_only)
@@ -54,15 +52,14 @@ class Controls:
     def __init__(self, server: viser.ViserServer, commands: CommandLine) -> None:
         self._commands = commands
         gui = server.gui
-        with gui.add_folder("Rig"):
-            self._name = gui.add_text("Scan name", DEFAULT_NAME, hint="Name of the next scan's folder")
-            self._buttons = {
-                "scan": gui.add_button("Start", icon=viser.Icon.PLAYER_PLAY, color="green", disabled=True),
-                "pause": gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, disabled=True),
-                "resume": gui.add_button("Resume", icon=viser.Icon.PLAYER_TRACK_NEXT, disabled=True),
-                "stop": gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red"),
-            }
-            self._note = gui.add_html("")
+        self._name = gui.add_text("Scan name", DEFAULT_NAME, hint="Name of the next scan's folder")
+        self._buttons = {
+            "scan": gui.add_button("Start", icon=viser.Icon.PLAYER_PLAY, color="green", disabled=True),
+            "pause": gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, disabled=True),
+            "resume": gui.add_button("Resume", icon=viser.Icon.PLAYER_TRACK_NEXT, disabled=True),
+            "stop": gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red"),
+        }
+        self._note = gui.add_html("")
         for command, button in self._buttons.items():
             button.on_click(self._enqueue(command))
 
@@ -80,27 +77,5 @@ class Controls:
         """Enable what makes sense now, and say what became of the last click."""
         may = allowed(snapshot.status, live=heading(snapshot, now_ns).live)
         for command, button in self._buttons.items():
-            if button.disabled == may[command]:
-                button.disabled = not may[command]
-        html = note_html(self._commands.note, now_ns)
-        if html != self._note.content:
-            self._note.content = html
-
-
-class ViewSettings:
-    """How the picture is drawn; shared by all browsers, but "Fit view" moves only the one that asks."""
-
-    def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
-        self._scene = scene
-        with server.gui.add_folder("View"):
-            fit = server.gui.add_button("Fit view", icon=viser.Icon.FOCUS_CENTERED, hint="Show the whole cloud")
-            size = server.gui.add_slider("Point size", min=0.25, max=4.0, step=0.25, initial_value=1.0)
-
-        @fit.on_click
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                scene.framing.fit(event.client)
-
-        @size.on_update
-        async def _(_event: Any) -> None:
-            scene.cloud.size_factor = float(size.value)
+            write(button, disabled=not may[command])
+        write(self._note, content=note_html(self._commands.note, now_ns))

@@ -17,15 +17,19 @@ from acquire.contract.scan_reader import read_layout
 from acquire.contract.units import NS_PER_S
 
 from .cloud import Cloud
+from .delivery import Delivery
+from .door import Page
 from .feed import Snapshot, TileNews
 from .framing import DEFAULT_BOUNDS, Framing
+from .look import Look
 from .markup import Picture
-from .sketch import field_of_view, light_at, sheet
+from .sketch import box_edges, field_of_view, light_at, sheet
 from .tiles import Bounds
 from .words import RUNNING
 
 LIGHT_RGB = (255, 205, 80)
 LIGHT_OPACITY = 0.15
+CLIP_RGB = (120, 200, 255)
 LOOK_AGAIN_NS = 2 * NS_PER_S
 """A scan file may not be there yet when its path is announced."""
 LOOKS = 5
@@ -34,21 +38,23 @@ LOOKS = 5
 class Scene:
     """Brings news into the picture, in turns that a browser can digest."""
 
-    def __init__(self, server: viser.ViserServer, max_points: int, clock: Clock) -> None:
+    def __init__(self, server: Page, look: Look, clock: Clock) -> None:
         self._server = server
         self._clock = clock
-        self.cloud = Cloud(server, max_points)
+        self.cloud = Cloud(look)
+        self.delivery = Delivery(server, self.cloud)
         self.framing = Framing(server, clock)
         self._book = CalibrationBook(clock)
         self._field: Bounds | None = None
         self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
         self._light_at: tuple[object, ...] = ()
         self._floor_of: tuple[float, float, float, float] | None = None
+        self._box: Bounds | None = None
+        self._frame: viser.LineSegmentsHandle | None = None
 
     def show(self, snapshot: Snapshot, news: TileNews) -> None:
-        """One turn: take what changed, send a digestible part of it, move light and floor along."""
+        """Take what changed, and move light and floor along; the couriers carry the points."""
         self.cloud.take(news)
-        self.cloud.draw()
         calibration = self._book.of(snapshot.status)
         self._field = field_of_view(calibration.camera) if calibration is not None else None
         bounds = self._stage_set(snapshot.status)
@@ -84,10 +90,31 @@ class Scene:
             fade_distance=span_mm * 4,
         )
 
+    def look(self, look: Look, now_ns: int) -> None:
+        """Colours, range, clipping as people want them now."""
+        self.cloud.show(look)
+        self.cloud.settle(now_ns)
+        if look.box == self._box:
+            return
+        self._box = look.box
+        if self._frame is not None:
+            self._frame.remove()
+            self._frame = None
+        if look.box is not None:
+            self._frame = self._server.scene.add_line_segments(
+                "/clip", box_edges(look.box), CLIP_RGB, thickness=1.2, thickness_units="screen"
+            )
+
     @property
     def picture(self) -> Picture:
         """What the legend has to say."""
-        return Picture(self.cloud.keep_one_of, self._floor_of[0] if self._floor_of is not None else 0.0)
+        return Picture(
+            keep_one_of=self.cloud.fine,
+            floor_cell_mm=self._floor_of[0] if self._floor_of is not None else 0.0,
+            points=self.cloud.points,
+            legend=self.cloud.legend(),
+            links=tuple(self.delivery.news()),
+        )
 
     def _show_light(self, snapshot: Snapshot, calibration: Calibration | None, bounds: Bounds) -> None:
         status = snapshot.status

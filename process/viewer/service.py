@@ -21,8 +21,10 @@ from .commands import CommandLine
 from .door import Page, close_page, listen, open_page
 from .feed import Feed
 from .guard import Gate
-from .panel import Controls, Panel, ViewSettings
+from .look import Look
+from .panel import Controls, Panel
 from .scene import Scene
+from .view_panel import ViewPanel
 
 TURN_S = 0.04
 """Least time between two turns: the words on the page are never older than this and a little."""
@@ -72,15 +74,21 @@ class Viewer:
         self._wake = wake
         self._gate = Gate(settings.host)
         listener = listen(settings.host, settings.port if port is None else port)
-        self._page: Page = open_page(self._gate, listener)
+        self._page: Page = open_page(self._gate, listener, max_bytes_per_s=settings.max_bytes_per_s)
         self.url = address(self._gate, self._page.get_port())
         view_only = self._gate.view_only
+        self._controls: Controls | None = None
+        self._view: ViewPanel | None = None
         self._panel = Panel(self._page, view_only=view_only)
         self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
-        self._controls = Controls(self._page, self._commands) if self._commands is not None else None
-        self._scene = Scene(self._page, settings.max_points, self._clock)
-        if not view_only:
-            ViewSettings(self._page, self._scene)
+        tabs = None if view_only else self._page.gui.add_tab_group()
+        if tabs is not None and self._commands is not None:
+            with tabs.add_tab("Rig"):
+                self._controls = Controls(self._page, self._commands)
+        self._scene = Scene(self._page, Look(max_points=settings.max_points), self._clock)
+        if tabs is not None:
+            with tabs.add_tab("View"):
+                self._view = ViewPanel(self._page, self._scene.framing, settings.max_points)
         self._feed = Feed(run_dir, wake, self._clock)
         self._pictured_ns = 0
 
@@ -103,7 +111,7 @@ class Viewer:
         notifier = Notifier()
         notifier.ready("the page is served")
         while not stop.is_set():
-            self._wake.wait(BEAT_S)
+            self._wake.wait(TURN_S if self._scene.delivery.pending else BEAT_S)
             self._wake.clear()
             self._turn()
             notifier.alive()
@@ -115,6 +123,11 @@ class Viewer:
         if now_ns - self._pictured_ns >= PICTURE_NS:
             self._pictured_ns = now_ns
             self._scene.show(snapshot, self._feed.take_tiles())
+            if self._view is not None:
+                self._view.show(self._scene.cloud)
+        if self._view is not None:
+            self._scene.look(self._view.look, now_ns)
+        self._scene.delivery.turn(now_ns)
         self._panel.show(snapshot, now_ns, self._scene.picture)
         if self._controls is not None:
             self._controls.show(snapshot, now_ns)

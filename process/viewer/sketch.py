@@ -85,3 +85,11 @@ def sheet(normal: NDArray[np.float64], offset: float, bounds: Bounds) -> NDArray
         low, high = sorted((-centre[2] / rise[2], (top_mm - centre[2]) / rise[2]))
     half = np.abs(level) @ (np.asarray(bounds.high) - np.asarray(bounds.low)) / 2
     return np.array([centre + a * half * level + b * rise for a, b in ((-1, low), (1, low), (1, high), (-1, high))])
+
+
+def box_edges(box: Bounds) -> NDArray[np.float32]:
+    """The twelve edges of a box as line segments, shape [12, 2, 3] in mm."""
+    ends = np.array([box.low, box.high])
+    corners = [np.array([ends[i, 0], ends[j, 1], ends[k, 2]]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    pairs = [(a, b) for a in range(8) for b in range(a + 1, 8) if (a ^ b).bit_count() == 1]
+    return np.array([[corners[a], corners[b]] for a, b in pairs], np.float32)

@@ -1,10 +1,11 @@
-"""Pure: the points of result tiles as arrays ready to draw; checks them, colours provisional ones, thins evenly."""
+"""Pure: the points of result tiles as arrays ready to draw; checks them, thins them evenly, clips them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,6 @@ from acquire.contract.errors import ProtocolError
 from acquire.contract.messages import ResultTiles
 from acquire.contract.points import POINT
 
-PROVISIONAL_RGB = (255, 150, 40)
-"""Points whose maximum has not settled are mixed toward this colour; the legend shows it."""
-PROVISIONAL_MIX = 0.65
 GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: multiples of it fill [0, 1) evenly and never fall in step with image rows."""
 BOUNDS_SAMPLE = 512
@@ -57,24 +55,46 @@ class Tile:
     """Shape [n, 3], as the camera saw it."""
     provisional: NDArray[np.bool_]
     """Shape [n], true while the pixel's maximum has not settled."""
+    crossing: NDArray[np.float32]
+    """Shape [n], fractional 0-based frame index."""
+    sigma_um: NDArray[np.float32]
+    """Shape [n], standard deviation along the camera's ray."""
+    quality: NDArray[np.uint16] | None = None
+    """Shape [n], quality bits; None where they are not known (the live cloud does not carry them)."""
 
     @property
     def count(self) -> int:
         """Number of points."""
         return len(self.xyz)
 
-    def shown_rgb(self) -> NDArray[np.uint8]:
-        """Shape [n, 3]: camera colour, mixed toward :data:`PROVISIONAL_RGB` where provisional."""
-        colours = self.rgb.astype(np.float32)
-        mixed = (1 - PROVISIONAL_MIX) * colours + PROVISIONAL_MIX * np.asarray(PROVISIONAL_RGB, np.float32)
-        return np.where(self.provisional[:, None], mixed, colours).astype(np.uint8)
+    def points_mm(self) -> NDArray[np.float64]:
+        """Shape [n, 3], mm about zero."""
+        return self.xyz.astype(np.float64) + np.asarray(self.origin_mm)
+
+    def where(self, keep: Any) -> Tile:
+        """Some of the points: ``keep`` is a mask [n], indices, or a slice."""
+        return Tile(
+            self.origin_mm,
+            self.xyz[keep],
+            self.rgb[keep],
+            self.provisional[keep],
+            self.crossing[keep],
+            self.sigma_um[keep],
+            self.quality[keep] if self.quality is not None else None,
+        )
 
     def thinned(self, keep_one_of: int) -> Tile:
         """Every ``keep_one_of``-th point, spread evenly; what a stronger thinning keeps, a weaker one keeps too."""
         if keep_one_of <= 1:
             return self
-        keep = (np.arange(self.count) * GOLDEN) % 1.0 < 1.0 / keep_one_of
-        return Tile(self.origin_mm, self.xyz[keep], self.rgb[keep], self.provisional[keep])
+        return self.where((np.arange(self.count) * GOLDEN) % 1.0 < 1.0 / keep_one_of)
+
+    def inside(self, box: Bounds) -> Tile:
+        """The points within ``box``, its faces included."""
+        low = (np.asarray(box.low) - self.origin_mm).astype(np.float32)
+        high = (np.asarray(box.high) - self.origin_mm).astype(np.float32)
+        within = ((self.xyz >= low) & (self.xyz <= high)).all(axis=1)
+        return self if within.all() else self.where(within)
 
     @cached_property
     def bounds(self) -> Bounds | None:
@@ -113,29 +133,43 @@ def parse_tiles(message: ResultTiles, payload: bytes | memoryview) -> tuple[dict
     for header in message.tiles:
         part = points[start : start + header.count]
         start += header.count
-        xyz = np.stack([part["x"], part["y"], part["z"]], axis=1)
-        rgb = np.stack([part["red"], part["green"], part["blue"]], axis=1)
-        provisional = part["provisional"] != 0
-        finite = np.isfinite(xyz).all(axis=1)
-        if not np.isfinite(header.origin_mm).all():
-            finite[:] = False
+        tile = tile_of_records(header.origin_mm, part)
+        finite = np.isfinite(tile.xyz).all(axis=1) & bool(np.isfinite(header.origin_mm).all())
         if not finite.all():
             left_out += int((~finite).sum())
-            xyz, rgb, provisional = xyz[finite], rgb[finite], provisional[finite]
-        origin = header.origin_mm if xyz.size else (0.0, 0.0, 0.0)
-        tiles[header.tile] = Tile(origin, xyz, rgb, provisional)
+            tile = tile.where(finite)
+        tiles[header.tile] = tile if tile.count else replace(tile, origin_mm=(0.0, 0.0, 0.0))
     return tiles, left_out
+
+
+def tile_of_records(
+    origin_mm: tuple[float, float, float], records: NDArray[Any], quality: NDArray[np.uint16] | None = None
+) -> Tile:
+    """The tile of records with the fields of ``POINT`` (as :data:`acquire.contract.points.POINT`)."""
+    return Tile(
+        origin_mm,
+        np.stack([records["x"], records["y"], records["z"]], axis=1),
+        np.stack([records["red"], records["green"], records["blue"]], axis=1),
+        records["provisional"] != 0,
+        records["crossing"].copy(),
+        records["sigma_um"].copy(),
+        quality,
+    )
 
 
 def merged(tiles: Sequence[Tile], origin_mm: tuple[float, float, float]) -> Tile:
     """All points of ``tiles`` as one tile about ``origin_mm``; the shift is done in float64."""
     origin = np.asarray(origin_mm)
     shifted = [tile.xyz + (np.asarray(tile.origin_mm) - origin) for tile in tiles]
+    qualities = [tile.quality for tile in tiles if tile.quality is not None]
     return Tile(
         origin_mm,
         np.concatenate(shifted).astype(np.float32),
         np.concatenate([tile.rgb for tile in tiles]),
         np.concatenate([tile.provisional for tile in tiles]),
+        np.concatenate([tile.crossing for tile in tiles]),
+        np.concatenate([tile.sigma_um for tile in tiles]),
+        np.concatenate(qualities) if len(qualities) == len(tiles) else None,
     )
 
 

@@ -54,6 +54,7 @@ def _hill_tile(tile: int, column: int, row: int, columns: int, rows: int, side: 
     points["red"], points["green"], points["blue"] = shade, shade + 12, shade
     points["provisional"] = u > provisional_from
     points["crossing"] = 526 * u
+    points["sigma_um"] = 0.2 + 0.6 * v
     return TileHeader(tile, x.size, int(points["provisional"].sum()), origin), points
 
 

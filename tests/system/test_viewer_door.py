@@ -179,7 +179,7 @@ def test_a_guard_that_lets_strangers_in_is_found_at_the_start_and_nothing_is_ser
 def test_a_viser_that_no_longer_asks_for_its_server_by_that_name_is_not_served(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(door, "_guarded_serve", lambda _gate, _listener: contextlib.nullcontext([]))
+    monkeypatch.setattr(door, "_guarded_serve", lambda *_: contextlib.nullcontext([]))
     with door.listen("127.0.0.1", 0) as listener, pytest.raises(door.GuardError, match="cannot be guarded"):
         door.open_page(Gate(), listener)
 

@@ -4,7 +4,7 @@ import pytest
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messages import ResultTiles, TileHeader
 from acquire.contract.points import POINT
-from process.viewer.tiles import PROVISIONAL_RGB, Tile, bounds_of, merged, parse_tiles, power_of_two
+from process.viewer.tiles import Bounds, Tile, bounds_of, merged, parse_tiles, power_of_two
 
 
 def message(*headers: TileHeader) -> ResultTiles:
@@ -13,7 +13,8 @@ def message(*headers: TileHeader) -> ResultTiles:
 
 def tile_of(xyz: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Tile:
     count = len(xyz)
-    return Tile(origin, xyz.astype(np.float32), np.full((count, 3), 100, np.uint8), np.zeros(count, bool))
+    zeros = np.zeros(count, np.float32)
+    return Tile(origin, xyz.astype(np.float32), np.full((count, 3), 100, np.uint8), np.zeros(count, bool), zeros, zeros)
 
 
 def test_a_tenth_of_a_micron_survives_far_from_the_origin() -> None:
@@ -41,11 +42,10 @@ def test_a_payload_of_another_length_than_announced_is_refused() -> None:
         parse_tiles(message(TileHeader(0, 2, 0, (0.0, 0.0, 0.0))), np.zeros(1, POINT).tobytes())
 
 
-def test_provisional_points_are_drawn_toward_the_colour_of_the_legend() -> None:
-    tile = Tile((0.0, 0.0, 0.0), np.zeros((2, 3), np.float32), np.full((2, 3), 90, np.uint8), np.array([False, True]))
-    settled, provisional = tile.shown_rgb().astype(int)
-    assert settled.tolist() == [90, 90, 90]
-    assert np.abs(provisional - PROVISIONAL_RGB).sum() < np.abs(settled - PROVISIONAL_RGB).sum() / 2
+def test_a_box_keeps_what_is_inside_wherever_the_tile_has_its_origin() -> None:
+    tile = tile_of(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), (100.0, 0.0, 0.0))
+    kept = tile.inside(Bounds((100.5, -1.0, -1.0), (102.0, 1.0, 1.0)))
+    assert kept.points_mm()[:, 0].tolist() == [101.0, 102.0]
 
 
 @pytest.mark.parametrize(("points", "expected"), [(0, 1), (1000, 1), (1001, 2), (2001, 4), (9000, 16)])
