@@ -23,7 +23,7 @@ from .feed import Snapshot, TileNews
 from .framing import DEFAULT_BOUNDS, Framing
 from .look import Look
 from .markup import Picture
-from .sketch import box_edges, field_of_view, light_at, sheet
+from .sketch import box_edges, camera_eye, field_of_view, light_at, sheet
 from .tiles import Bounds
 from .words import RUNNING
 
@@ -49,6 +49,8 @@ class Scene:
         self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
         self._light_at: tuple[object, ...] = ()
         self._floor_of: tuple[float, float, float, float] | None = None
+        self.eye_mm: NDArray[np.float64] | None = None
+        """Where the rig's camera is, shape [3] in mm; None without a calibration."""
         self._box: Bounds | None = None
         self._frame: viser.LineSegmentsHandle | None = None
 
@@ -56,6 +58,7 @@ class Scene:
         """Take what changed, and move light and floor along; the couriers carry the points."""
         self.cloud.take(news)
         calibration = self._book.of(snapshot.status)
+        self.eye_mm = camera_eye(calibration.camera) if calibration is not None else None
         self._field = field_of_view(calibration.camera) if calibration is not None else None
         bounds = self._stage_set(snapshot.status)
         self.framing.follow(bounds)

@@ -22,6 +22,7 @@ from .door import Page, close_page, listen, open_page
 from .feed import Feed
 from .guard import Gate
 from .look import Look
+from .measuring import Measuring
 from .panel import Controls, Panel
 from .scene import Scene
 from .view_panel import ViewPanel
@@ -79,6 +80,7 @@ class Viewer:
         view_only = self._gate.view_only
         self._controls: Controls | None = None
         self._view: ViewPanel | None = None
+        self._measuring: Measuring | None = None
         self._panel = Panel(self._page, view_only=view_only)
         self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
         tabs = None if view_only else self._page.gui.add_tab_group()
@@ -89,6 +91,8 @@ class Viewer:
         if tabs is not None:
             with tabs.add_tab("View"):
                 self._view = ViewPanel(self._page, self._scene.framing, settings.max_points)
+            with tabs.add_tab("Measure"):
+                self._measuring = Measuring(self._page, self._scene.cloud, wake.set)
         self._feed = Feed(run_dir, wake, self._clock)
         self._pictured_ns = 0
 
@@ -127,6 +131,9 @@ class Viewer:
                 self._view.show(self._scene.cloud)
         if self._view is not None:
             self._scene.look(self._view.look, now_ns)
+        if self._measuring is not None:
+            self._measuring.forget(snapshot.cloud_scan_uid)
+            self._measuring.turn(self._scene.eye_mm)
         self._scene.delivery.turn(now_ns)
         self._panel.show(snapshot, now_ns, self._scene.picture)
         if self._controls is not None:

@@ -19,6 +19,12 @@ HEADROOM = 0.25
 """The sheet of light ends so many radii over the object."""
 
 
+def camera_eye(camera: CameraModel) -> NDArray[np.float64]:
+    """The pinhole u = -R^T T, shape [3] in mm."""
+    eye: NDArray[np.float64] = -np.asarray(camera.R).T @ np.asarray(camera.T)
+    return eye
+
+
 def field_of_view(camera: CameraModel) -> Bounds | None:
     """The box around the image's corners projected onto z = 0 (design, section 5); None if a ray misses it."""
     rotation, translation = np.asarray(camera.R), np.asarray(camera.T)

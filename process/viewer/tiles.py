@@ -106,6 +106,12 @@ class Tile:
         return Bounds(_triple(low), _triple(high))
 
     @cached_property
+    def sphere(self) -> tuple[NDArray[np.float64], float]:
+        """Centre [3] and radius in mm of a ball that holds all points; there must be some."""
+        low, high = self.xyz.min(axis=0).astype(np.float64), self.xyz.max(axis=0).astype(np.float64)
+        return (low + high) / 2 + np.asarray(self.origin_mm), float(np.linalg.norm(high - low)) / 2
+
+    @cached_property
     def spacing_mm(self) -> float | None:
         """Typical distance of neighbours: consecutive points are mostly neighbouring pixels; None if too few."""
         if self.count < 16:
