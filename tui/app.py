@@ -5,32 +5,46 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from textual import events
 from textual.app import App
 from textual.binding import Binding
+from textual.dom import DOMNode
 from textual.message import Message
 
-from acquire.contract.messages import ResultProgress, Status
-from acquire.contract.states import HoldReason, Outcome, State
+from acquire.contract.messages import Status
+from acquire.contract.states import Outcome, State
+from tui.draft import Draft
+from tui.logbook import LogBook, local_time
 from tui.messages import (
     CommandAnswered,
     LinkChanged,
+    MapsArrived,
+    News,
     Note,
     PageKnown,
+    PictureArrived,
     ProgressArrived,
     ResultsOnDisk,
     StatusArrived,
 )
-from tui.screens.dialogs import AskName, ConfirmQuit, Help
-from tui.screens.rig import RigScreen
-from tui.widgets.log_pane import local_time
-from tui.words import MOVING_STATES, is_running, newest_fault, outcome_line, position_words, scan_name, state_words
+from tui.screens import SCREENS
+from tui.screens.actions import ActionList
+from tui.screens.base import RigScreenBase, action_name
+from tui.screens.dialogs import ConfirmQuit, Dialog
+from tui.themes import THEMES
+from tui.view import RigView
+from tui.words import MOVING_STATES, is_running, newest_fault, outcome_line, position_words, state_words
 
 STOP_KEY = "space"
+RENEW_CONTROL_S = 3.0
+"""Control lapses 10 s after the holder's last word."""
+HARMLESS = frozenset({"stop", "status", "estimate", "acknowledge"})
+"""Commands that a read-only console may send: none of them moves anything (STOP is everybody's)."""
 
 
 class Link(Protocol):
@@ -42,58 +56,93 @@ class Link(Protocol):
     def close(self) -> None:
         """End."""
 
-    def send(self, name: str, /, **args: Any) -> None:
-        """Send a command without waiting."""
+    def send(self, name: str, /, **args: Any) -> str:
+        """Send a command without waiting; returns its request id."""
+
+    def want_pictures(self, wanted: bool) -> None:
+        """Listen to camera pictures, or no longer."""
 
 
 LinkMaker = Callable[[Callable[[Message], Any]], Link]
 """Makes a connection that posts to the given function."""
+OnAnswer = Callable[[CommandAnswered], None]
+
+
+@dataclass(frozen=True)
+class ConsoleOptions:
+    """How this console was started."""
+
+    ascii_only: bool = False
+    read_only: bool = False
+    """Look, but have no action that moves or changes the rig; STOP stays."""
+    owns_rig: bool = False
+    """The services end with this program, so leaving during a sweep is asked about."""
+    me: str = ""
+    """This console's name on the rig: ``anna on pts/3``."""
+    screen: str = "scan"
+    """The screen that is shown first."""
+    draft: Draft = field(default_factory=Draft)
+    """What the next scan starts from."""
+    keymap: Mapping[str, str] = field(default_factory=dict)
+    theme: str = "sweepscope-dark"
+    picture: str = "half"
+    """``half``, ``mono`` or ``off``."""
 
 
 class ConsoleApp(App[None]):
-    """One screen over one rig."""
+    """Screens over one rig."""
 
     TITLE = "sweepscope"
     ENABLE_COMMAND_PALETTE = False
     BINDINGS = [
-        Binding("s", "start", "start"),
-        Binding("p", "pause", "pause"),
-        Binding("r", "resume", "resume"),
-        Binding("a", "acknowledge", "acknowledge"),
-        Binding("q", "quit", "quit"),
-        Binding("question_mark", "help", "help"),
+        *[
+            Binding(str(number), f"go('{entry.name}')", entry.name, show=False, tooltip=entry.words)
+            for number, entry in enumerate(SCREENS, 1)
+        ],
+        Binding("a", "acknowledge", "acknowledge", id="acknowledge", tooltip="take the newest fault off the banner"),
+        Binding("T", "control", "control", id="control", tooltip="take control of the rig, or give it back"),
+        Binding("colon", "palette", "actions", id="palette", tooltip="all actions of all screens (also ctrl+p)"),
+        Binding("ctrl+p", "palette", "actions", show=False),
+        Binding("ctrl+t", "theme", "colours", id="theme", tooltip="next colours: dark, light, high contrast"),
+        Binding("q", "quit", "quit", id="quit", tooltip="leave; a sweep goes on without this screen"),
+        Binding("question_mark", "help", "help", show=False, id="help"),
     ]
 
     def __init__(
         self,
         make_link: LinkMaker,
+        options: ConsoleOptions = ConsoleOptions(),  # noqa: B008 - frozen
         *,
-        ascii_only: bool = False,
-        owns_rig: bool = False,
         clock: Callable[[], str] = local_time,
         on_started: Callable[[ConsoleApp], None] | None = None,
+        driver_class: type | None = None,
     ) -> None:
-        """``owns_rig``: the services end with this program, so leaving during a sweep is asked about."""
-        super().__init__()
+        super().__init__(driver_class=driver_class)
+        self.options = options
+        self.read_only = options.read_only
+        self.draft = options.draft
+        self.logbook = LogBook(clock)
+        self.view = RigView(me=options.me)
         self._link = make_link(self.post_message)
-        self._owns_rig = owns_rig
         self._on_started = on_started
-        self._rig = RigScreen(clock, ascii_only=ascii_only)
-        self.status: Status | None = None
-        self.progress: ResultProgress | None = None
-        self.connected = False
-        self.url = ""
-        self._stop_words = ""
+        self._screens: dict[str, RigScreenBase] = {}
+        self._answers: dict[str, OnAnswer] = {}
         self._stop_answered_ns: int | None = None
+        self._stops_sent_early = 0
         self._faults_said: set[tuple[str, int]] = set()
+        for theme in THEMES:
+            self.register_theme(theme)
+        self.theme = options.theme
+        self.set_keymap(dict(options.keymap))
 
     # ---- life ----
 
     def on_mount(self) -> None:
         """Show the screen, then listen."""
-        self.push_screen(self._rig)
+        self.action_go(self.options.screen)
         for number in (signal.SIGTERM, signal.SIGHUP):
             self._leave_on(number)
+        self.set_interval(RENEW_CONTROL_S, self._renew_control)
         self._link.start()
         if self._on_started is not None:
             self._on_started(self)
@@ -110,27 +159,55 @@ class ConsoleApp(App[None]):
 
     def say(self, text: str, level: str = "info") -> None:
         """A line for the log."""
-        self._rig.log_pane.say(text, level)
+        if self.logbook.say(text, level):
+            self.refresh_view()
 
-    def _refresh(self) -> None:
-        self._rig.show(self.status, self.progress, connected=self.connected, url=self.url, stop_words=self._stop_words)
+    @property
+    def rig_screen(self) -> RigScreenBase | None:
+        """The screen in view, or the one beneath the dialogs; None before the first is there."""
+        return next((screen for screen in reversed(self.screen_stack) if isinstance(screen, RigScreenBase)), None)
+
+    def refresh_view(self, **changes: Any) -> None:
+        """Change what is known and show it."""
+        if changes:
+            self.view = replace(self.view, **changes)
+        if not self.screen_stack:
+            return
+        screen = self.rig_screen
+        if screen is not None and screen.is_mounted:
+            screen.show_all(self.view)
 
     # ---- news ----
 
+    def on_news(self, message: News) -> None:
+        """Everything that came since the last time, in one go."""
+        message.taken()
+        with self.batch_update():
+            for part in message.parts:
+                getattr(self, part.handler_name)(part)
+
     def on_status_arrived(self, message: StatusArrived) -> None:
         """The newest state."""
-        before, self.status = self.status, message.status
+        before = self.view.status
+        self.view = replace(self.view, status=message.status)
         self._say_changes(before, message.status)
         self._judge_stop(message.status)
-        self._refresh()
+        self.refresh_view()
 
     def on_progress_arrived(self, message: ProgressArrived) -> None:
         """The worker's news."""
-        said = self.progress.message if self.progress else ""
+        said = self.view.progress.message if self.view.progress else ""
         if message.progress.message not in ("", said):
             self.say(f"worker: {message.progress.message}", "warning")
-        self.progress = message.progress
-        self._refresh()
+        self.refresh_view(progress=message.progress)
+
+    def on_picture_arrived(self, message: PictureArrived) -> None:
+        """A camera picture."""
+        self.refresh_view(picture=message.picture)
+
+    def on_maps_arrived(self, message: MapsArrived) -> None:
+        """Sampled maps."""
+        self.refresh_view(maps=message.maps)
 
     def on_results_on_disk(self, message: ResultsOnDisk) -> None:
         """A cloud is there."""
@@ -139,32 +216,35 @@ class ConsoleApp(App[None]):
             self.say(f"{result.points} points in {result.cloud_path} ({result.seconds:.2f} s after the last frame)")
         elif result.message:
             self.say(f"no cloud: {result.message}", "warning")
+        self.refresh_view(end=result)
 
     def on_link_changed(self, message: LinkChanged) -> None:
         """The daemon is heard, or not."""
-        self.connected = message.connected
+        self.view = replace(self.view, connected=message.connected)
         if message.connected:
             self.say(f"connected to the rig in {message.detail}")
         else:
             self.say(f"not connected - retrying: {message.detail}", "warning")
-        self._refresh()
+        self.refresh_view()
 
     def on_command_answered(self, message: CommandAnswered) -> None:
         """What became of a command."""
+        on_answer = self._answers.pop(message.request_id, None)
         if message.name == "stop":
             self._stop_answered_ns = message.at_mono_ns
-        if not message.ok:
+        if on_answer is not None:
+            on_answer(message)
+        elif not message.ok:
             if message.name == "stop":
-                self._stop_words = "STOP NOT CONFIRMED"
+                self.view = replace(self.view, stop_words="STOP NOT CONFIRMED")
             self.say(f"{message.name}: {message.detail}", "error")
         elif message.name != "stop":
             self.say(f"{message.name}: {message.detail or 'done'}")
-        self._refresh()
+        self.refresh_view()
 
     def on_page_known(self, message: PageKnown) -> None:
         """The address of the page."""
-        self.url = message.url
-        self._refresh()
+        self.refresh_view(url=message.url)
 
     def on_note(self, message: Note) -> None:
         """A line from elsewhere in this process."""
@@ -173,6 +253,8 @@ class ConsoleApp(App[None]):
     def _say_changes(self, before: Status | None, now: Status) -> None:
         if before is None or (before.state, before.hold_reason) != (now.state, now.hold_reason):
             self.say(state_words(now))
+        if before is not None and before.control != now.control:
+            self.say(f"{now.control} holds control now" if now.control else "nobody holds control now")
         if now.message and (before is None or before.message != now.message) and not _said_otherwise(now):
             self.say(now.message)
         for fault in now.faults:
@@ -185,85 +267,195 @@ class ConsoleApp(App[None]):
 
     def _judge_stop(self, status: Status) -> None:
         """STOP is confirmed by the rig's state alone, as it was said after the daemon had taken the command."""
-        if not self._stop_words or self._stop_answered_ns is None or status.sent_mono_ns < self._stop_answered_ns:
+        answered_ns = self._stop_answered_ns
+        if not self.view.stop_words or answered_ns is None or status.sent_mono_ns < answered_ns:
             return
         if status.state == State.FINISHING:
-            self._stop_words = "STOP taken: saving what was taken"
-        elif status.state not in MOVING_STATES:
-            self._stop_words = ""
+            self.view = replace(self.view, stop_words="STOP taken: saving what was taken")
+        elif status.state not in MOVING_STATES - {State.PREVIEW}:
+            self.view = replace(self.view, stop_words="")
             self.say(f"stopped at {position_words(status)}")
+
+    # ---- commands ----
+
+    def send_command(self, name: str, args: Mapping[str, Any], on_answer: OnAnswer | None = None) -> None:
+        """Send a command; a read-only console sends none that changes anything."""
+        if self.read_only and name not in HARMLESS:
+            self.say(f"{name}: this console is read-only", "warning")
+            return
+        request_id = self._link.send(name, **args)
+        if on_answer is not None:
+            self._answers[request_id] = on_answer
+
+    def want_pictures(self, wanted: bool) -> None:
+        """Listen to camera pictures, or no longer."""
+        self._link.want_pictures(wanted)
+
+    def why_no_command(self, *, changes: bool) -> str:
+        """Why nothing can be asked of the rig now (``changes``: nothing that changes it); empty if it can."""
+        if not self.view.connected or self.view.status is None:
+            return "not connected"
+        if changes and not self.view.in_control:
+            return f"{self.view.status.control} holds control: T takes it"
+        return ""
+
+    def why_not(self, action: str) -> str:
+        """Why one of the console's own actions cannot be done now; empty if it can."""
+        status = self.view.status
+        if action == "acknowledge" and (status is None or newest_fault(status.faults) is None):
+            return "there is no fault"
+        if action in ("acknowledge", "control"):
+            return self.why_no_command(changes=False)
+        return ""
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """A read-only console has no control to take."""
+        return not (action == "control" and self.read_only)
+
+    async def run_action(
+        self, action: Any, default_namespace: DOMNode | None = None, namespaces: Mapping[str, DOMNode] | None = None
+    ) -> bool:
+        """Do an action, or say why it cannot be done now."""
+        screen, name = self.screen, action if isinstance(action, str) else action[1]
+        if isinstance(screen, RigScreenBase) and (default_namespace is self or default_namespace is screen):
+            words = screen.why_not_now(name)
+            if words:
+                self.say(f"{action_name(name)}: {words}", "warning")
+                return True
+        return await super().run_action(action, default_namespace, namespaces)
+
+    def key_words(self, binding: Binding) -> str:
+        """The key of a binding as people write it, the operator's own where there is one."""
+        keys = self.options.keymap.get(binding.id or "", binding.key)
+        return self.get_key_display(Binding(keys.split(",")[0].strip(), "", ""))
+
+    def get_key_display(self, binding: Binding) -> str:
+        """Short names of keys in ASCII."""
+        key = _KEY_NAMES.get(binding.key)
+        return key if key is not None else binding.key.replace("ctrl+", "^")
 
     # ---- keys ----
 
     async def on_event(self, event: events.Event) -> None:
         """STOP before anything else sees the key: Textual's priority bindings give way to a field that takes text."""
-        if isinstance(event, events.Key) and event.key == STOP_KEY and not event.is_forwarded:
-            self.action_stop()
-            return
+        if isinstance(event, events.Key) and not event.is_forwarded:
+            if event.key == STOP_KEY:
+                self.action_stop()
+                return
+            if isinstance(self.screen, Dialog) and not self.screen.may_take(event.key):
+                return
         await super().on_event(event)
+
+    def stop_early(self) -> None:
+        """Send STOP from the thread that reads the keys, even while nothing can be painted."""
+        self._stops_sent_early += 1
+        self._link.send("stop")
 
     def action_stop(self) -> None:
         """End all motion."""
-        self._stop_words, self._stop_answered_ns = "STOP sent", None
-        self._link.send("stop")
+        if self._stops_sent_early:
+            self._stops_sent_early -= 1
+        else:
+            self._link.send("stop")
+        self._stop_answered_ns = None
+        self.view = replace(self.view, stop_words="STOP sent")
         self.say("STOP sent; waiting for the rig's own word", "warning")
-        self._refresh()
+        self.refresh_view()
 
-    def action_start(self) -> None:
-        """Ask for a name and start a sweep."""
-        if not self._can("start", {State.IDLE}):
+    def action_go(self, name: str) -> None:
+        """Switch to a screen."""
+        screen = self.screen_named(name)
+        if self.rig_screen is screen:
             return
-        assert self.status is not None
-        previous = scan_name(self.status).partition("-")[2]
+        if self.rig_screen is None:
+            self.push_screen(screen)
+        else:
+            self.switch_screen(screen)
+        self._link.want_pictures(screen.WANTS_PICTURES)
 
-        def start(name: str | None) -> None:
-            if name:
-                self._link.send("scan", name=name)
-
-        self.push_screen(AskName(previous or "sweep"), start)
-
-    def action_pause(self) -> None:
-        """Hold the sweep."""
-        if self._can("pause", {State.SWEEPING, State.HOLDING}):
-            self._link.send("pause")
-
-    def action_resume(self) -> None:
-        """Go on."""
-        if not self._can("resume", {State.HOLDING}):
-            return
-        if self.status is not None and self.status.hold_reason != HoldReason.PAUSED:
-            self.say(f"resume: the sweep holds by itself ({self.status.hold_reason}) and goes on by itself", "warning")
-            return
-        self._link.send("resume")
+    def screen_named(self, name: str) -> RigScreenBase:
+        """The screen of that name, made if it was never looked at."""
+        if name not in self._screens:
+            entry = next(entry for entry in SCREENS if entry.name == name)
+            screen = self._screens[name] = entry.make(ascii_only=self.options.ascii_only)
+            screen.belongs_to(self)
+            self.install_screen(screen, name)
+        return self._screens[name]
 
     def action_acknowledge(self) -> None:
         """Take the newest fault off the banner."""
-        fault = newest_fault(self.status.faults) if self.status else None
+        fault = newest_fault(self.view.status.faults) if self.view.status else None
         if fault is not None:
-            self._link.send("acknowledge", code=fault.code)
+            self.send_command("acknowledge", {"code": fault.code})
+
+    def action_control(self) -> None:
+        """Take control, or give it back."""
+        mine = self.view.status is not None and self.view.status.control == self.view.me and bool(self.view.me)
+        self.send_command("control", {"action": "release" if mine else "take"})
+
+    def _renew_control(self) -> None:
+        status = self.view.status
+        if self.view.connected and status is not None and status.control and status.control == self.view.me:
+            self.send_command("control", {"action": "renew"}, lambda _answer: None)
+
+    def action_theme(self) -> None:
+        """The next colours."""
+        names = [theme.name for theme in THEMES]
+        here = names.index(self.theme) if self.theme in names else -1
+        self.theme = names[(here + 1) % len(names)]
+        self.say(f"colours: {self.theme.removeprefix('sweepscope-')}")
 
     def action_help(self) -> None:
-        """Show the keys."""
-        self.push_screen(Help())
+        """What can be done on this screen."""
+        if isinstance(self.screen, RigScreenBase):
+            self.push_screen(ActionList.of_screen(self.screen), self._run_chosen)
+
+    def action_palette(self) -> None:
+        """What can be done on any screen."""
+        if isinstance(self.screen, RigScreenBase):
+            self.push_screen(ActionList.of_all(self, self.screen), self._run_chosen)
+
+    async def _run_chosen(self, chosen: tuple[str, str] | None) -> None:
+        if chosen is None:
+            return
+        name, action = chosen
+        if name:
+            self.action_go(name)
+        screen = self._screens[name] if name else None
+        self.call_later(self.run_action, action, self if screen is None or name == "" else screen)
 
     async def action_quit(self) -> None:
         """Leave; asked first if a sweep would end with this program."""
-        if self._owns_rig and is_running(self.status) and self.connected:
+        if self.options.owns_rig and is_running(self.view.status) and self.view.connected:
             if not isinstance(self.screen, ConfirmQuit):
                 self.push_screen(ConfirmQuit(), lambda leave: self.exit() if leave else None)
             return
         self.exit()
 
-    def _can(self, what: str, states: set[State]) -> bool:
-        if isinstance(self.screen, (AskName, ConfirmQuit, Help)):
-            return False
-        if self.status is None or not self.connected:
-            self.say(f"{what}: not connected", "warning")
-            return False
-        if self.status.state not in states:
-            self.say(f"{what}: not while the rig is {state_words(self.status)}", "warning")
-            return False
-        return True
+
+_KEY_NAMES = {
+    "question_mark": "?",
+    "colon": ":",
+    "comma": ",",
+    "full_stop": ".",
+    "less_than_sign": "<",
+    "greater_than_sign": ">",
+    "left_square_bracket": "[",
+    "right_square_bracket": "]",
+    "plus": "+",
+    "minus": "-",
+    "slash": "/",
+    "escape": "Esc",
+    "enter": "Enter",
+    "tab": "Tab",
+    "left": "Left",
+    "right": "Right",
+    "up": "Up",
+    "down": "Down",
+    "delete": "Del",
+    "pageup": "PgUp",
+    "pagedown": "PgDn",
+}
 
 
 def _said_otherwise(status: Status) -> bool:
@@ -274,10 +466,9 @@ def _said_otherwise(status: Status) -> bool:
 
 
 def run_console(
+    options: ConsoleOptions = ConsoleOptions(),  # noqa: B008 - frozen
     *,
     run_dir: Path | None = None,
-    ascii_only: bool = False,
-    owns_rig: bool = False,
     command_timeout_s: float = 5.0,
     on_started: Callable[[ConsoleApp], None] | None = None,
 ) -> int:
@@ -286,10 +477,10 @@ def run_console(
     from tui.terminal import prepare_terminal  # noqa: PLC0415
 
     def make_link(post: Callable[[Message], Any]) -> Link:
-        return RigLink(post, run_dir=run_dir, command_timeout_s=command_timeout_s)
+        return RigLink(post, run_dir=run_dir, command_timeout_s=command_timeout_s, client=options.me)
 
     prepare_terminal()
-    app = ConsoleApp(make_link, ascii_only=ascii_only, owns_rig=owns_rig, on_started=on_started)
+    app = ConsoleApp(make_link, options, on_started=on_started)
     app.run(mouse=False)
     if app.return_code:
         print("the console ended by an error; if the terminal looks odd, type: reset", file=sys.stderr)

@@ -154,6 +154,7 @@ def _show(verdict: Verdict, url: str) -> None:
 
 def _run_on_terminal(options: DemoOptions) -> int:
     from tui.app import run_console  # noqa: PLC0415 - without a terminal Textual is never loaded
+    from tui.console_options import options_for  # noqa: PLC0415
     from tui.messages import Note  # noqa: PLC0415
 
     thread: _DemoThread | None = None
@@ -169,7 +170,8 @@ def _run_on_terminal(options: DemoOptions) -> int:
         thread.start()
 
     with DemoRig(options, _to_log) as rig:
-        status = run_console(run_dir=rig.run_dir, owns_rig=True, on_started=begin)
+        console = options_for(rig.config, owns_rig=True)
+        status = run_console(console, run_dir=rig.run_dir, on_started=begin)
         say("ending daemon, writer, worker and viewer")
         if thread is not None:
             thread.end()

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 from textual.message import Message
 
 from acquire.contract.messages import ResultEnd, ResultProgress, Status
+from tui.view import MapsView, PictureView
+
+
+@dataclass
+class News(Message):
+    """Everything that came since the last time, the newest of each kind; no more is told until this is ``taken``."""
+
+    parts: list[Message]
+    taken: Callable[[], None]
 
 
 @dataclass
@@ -29,6 +40,20 @@ class ProgressArrived(Message):
     def can_replace(self, message: Message) -> bool:
         """Only the newest progress counts."""
         return isinstance(message, ProgressArrived)
+
+
+@dataclass
+class PictureArrived(Message):
+    """The newest camera picture."""
+
+    picture: PictureView
+
+
+@dataclass
+class MapsArrived(Message):
+    """The newest sampled maps."""
+
+    maps: MapsView
 
 
 @dataclass
@@ -57,6 +82,10 @@ class CommandAnswered(Message):
     """The daemon's words, or why there are none."""
     at_mono_ns: int = 0
     """CLOCK_MONOTONIC when the daemon answered, or when the answer was given up."""
+    request_id: str = ""
+    """As :meth:`tui.app.Link.send` returned it."""
+    result: dict[str, Any] = field(default_factory=dict)
+    """What the reply carried."""
 
 
 @dataclass

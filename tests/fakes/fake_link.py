@@ -15,6 +15,7 @@ class FakeLink:
         self.post = post
         self.sent: list[tuple[str, dict[str, Any]]] = []
         self.started = self.closed = False
+        self.pictures_wanted = False
 
     def start(self) -> None:
         self.started = True
@@ -22,5 +23,9 @@ class FakeLink:
     def close(self) -> None:
         self.closed = True
 
-    def send(self, name: str, /, **args: Any) -> None:
+    def send(self, name: str, /, **args: Any) -> str:
         self.sent.append((name, args))
+        return f"request-{len(self.sent)}"
+
+    def want_pictures(self, wanted: bool) -> None:
+        self.pictures_wanted = wanted

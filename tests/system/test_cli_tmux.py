@@ -68,9 +68,9 @@ CONSOLE = (sys.executable, "-m", "tui.cli", "console")
 def test_a_sweep_is_started_paused_resumed_and_stopped_from_a_real_terminal(terminal, run_dir):
     with FakeDaemon(run_dir, frames_per_tick=1, expected=100_000) as daemon:
         terminal.open(*CONSOLE)
-        terminal.wait_for("IDLE", "connected", "s start")
+        terminal.wait_for("IDLE", "s start")
         terminal.press("s")
-        terminal.wait_for("Name of the scan")
+        terminal.wait_for("start a sweep")
         terminal.press("Enter")
         terminal.wait_for("SWEEPING", "frames/s", "remaining")
         terminal.press("p")
@@ -88,7 +88,7 @@ def test_the_console_starts_without_a_daemon_and_reconnects_by_itself(terminal, 
     terminal.open(*CONSOLE, width=100, height=30)
     terminal.wait_for("NOT CONNECTED - RETRYING")
     with FakeDaemon(run_dir):
-        terminal.wait_for("IDLE", " connected")
+        terminal.wait_for("IDLE", "s start")
     begin_s = time.monotonic()
     terminal.wait_for("last known: IDLE")
     assert time.monotonic() - begin_s < 2.5
@@ -103,7 +103,7 @@ def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_i
         terminal.open(*CONSOLE)
         terminal.wait_for("s start")
         terminal.press("s")
-        terminal.wait_for("Name of the scan")
+        terminal.wait_for("start a sweep")
         terminal.press("Enter")
         terminal.wait_for("SWEEPING")
         terminal.resize(160, 50)

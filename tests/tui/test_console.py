@@ -11,22 +11,28 @@ from acquire.contract.messages import FaultReport, ResultEnd
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.fake_link import FakeLink
-from tui.app import ConsoleApp
+from tui.app import ConsoleApp, ConsoleOptions
 from tui.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, ResultsOnDisk, StatusArrived
-from tui.screens.dialogs import AskName, ConfirmQuit, Help, valid_name
-from tui.widgets.panes import FaultBanner, KeyLine, StatePane, SweepPane, TitleLine
+from tui.screens.actions import ActionList
+from tui.screens.dialogs import ConfirmQuit, Form, valid_name
+from tui.widgets.frame import FaultBanner, Header, KeyLine
+from tui.widgets.panes import StatePane, SweepPane
 
+ME = "anna on pts/3"
 URL = "http://127.0.0.1:8080/?token=secret"
 FAULT = FaultReport(
     code="F03", happened="the writer is lost", safe="410 of 527 frames are saved", to_do="nothing", at_mono_ns=7
 )
 
 
-def drive(script: Callable[[Stage], Awaitable[None]], *, size=(80, 24), owns_rig=False, ascii_only=False) -> None:
+def drive(
+    script: Callable[[Stage], Awaitable[None]], *, size=(80, 24), owns_rig=False, ascii_only=False, read_only=False
+) -> None:
     """Run the console without a terminal and play ``script``."""
 
     async def play() -> None:
-        app = ConsoleApp(FakeLink, owns_rig=owns_rig, ascii_only=ascii_only, clock=lambda: "12:00:00")
+        options = ConsoleOptions(owns_rig=owns_rig, ascii_only=ascii_only, read_only=read_only, me=ME)
+        app = ConsoleApp(FakeLink, options, clock=lambda: "12:00:00")
         async with app.run_test(size=size) as pilot:
             await script(Stage(app, pilot))
 
@@ -53,11 +59,11 @@ class Stage:
         await self.pilot.pause()
 
     def shown(self, pane) -> str:
-        return self.app._rig.query_one(pane).plain
+        return self.app.rig_screen.query_one(pane).plain
 
     @property
     def log(self) -> str:
-        return "\n".join(self.app._rig.log_pane.said)
+        return "\n".join(line.text for line in self.app.logbook.lines)
 
 
 def replace(status, **changes):
@@ -82,7 +88,7 @@ def test_state_position_counts_and_rate_are_shown():
         for words in ("413", "412", "410", "384", "410/527  78 %", "14.8 frames/s", "0:00:08", "credit 105 of 108"):
             assert words in sweep
         assert "worker 3 frames behind  48213 points settled, 2911 provisional" in sweep
-        assert URL in stage.shown(TitleLine)
+        assert URL in stage.shown(Header)
 
     drive(script)
 
@@ -92,7 +98,7 @@ def test_a_lost_daemon_is_said_and_the_last_known_state_is_marked_as_that():
         await stage.connect(SWEEPING)
         await stage.hear(LinkChanged(False, "no rig daemon is heard"))
         assert "last known: SWEEPING" in stage.shown(StatePane)
-        assert "not connected - retrying" in stage.shown(TitleLine)
+        assert "NOT CONNECTED - RETRYING" in stage.shown(Header)
 
     drive(script)
 
@@ -101,9 +107,10 @@ def test_start_asks_for_a_name_with_the_last_one_as_default():
     async def script(stage):
         await stage.connect(replace(IDLE, scan_path="/data/20260101T120000Z-left-ear", outcome=Outcome.COMPLETE))
         await stage.press("s")
-        assert isinstance(stage.app.screen, AskName)
+        assert isinstance(stage.app.screen, Form)
         await stage.press("enter")
-        assert stage.link.sent == [("scan", {"name": "left-ear"})]
+        assert [name for name, _ in stage.link.sent] == ["scan"]
+        assert stage.link.sent[0][1]["name"] == "left-ear"
 
     drive(script)
 
@@ -112,7 +119,7 @@ def test_a_typed_name_replaces_the_default():
     async def script(stage):
         await stage.connect()
         await stage.press("s", *"ear2", "enter")
-        assert stage.link.sent == [("scan", {"name": "ear2"})]
+        assert stage.link.sent[0][1]["name"] == "ear2"
 
     drive(script)
 
@@ -130,7 +137,7 @@ def test_a_name_with_a_slash_is_refused_and_the_question_stays():
     async def script(stage):
         await stage.connect()
         await stage.press("s", "a", "slash", "b", "enter")
-        assert isinstance(stage.app.screen, AskName)
+        assert isinstance(stage.app.screen, Form)
         assert stage.link.sent == []
 
     drive(script)
@@ -164,13 +171,13 @@ def test_space_stops_from_the_main_screen_from_an_input_and_from_every_dialog():
         await stage.connect(SWEEPING)
         await stage.press("space")
         await stage.press("question_mark")
-        assert isinstance(stage.app.screen, Help)
+        assert isinstance(stage.app.screen, ActionList)
         await stage.press("space", "escape", "q")
         assert isinstance(stage.app.screen, ConfirmQuit)
         await stage.press("space", "n")
         await stage.hear(StatusArrived(IDLE))
         await stage.press("s")
-        assert isinstance(stage.app.screen, AskName)
+        assert isinstance(stage.app.screen, Form)
         await stage.press("space")
         assert [name for name, _ in stage.link.sent] == ["stop"] * 4
 
@@ -189,7 +196,7 @@ def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_i
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("space")
-        assert "STOP sent" in stage.shown(StatePane)
+        assert "STOP sent" in stage.shown(Header)
         await stage.hear(StatusArrived(replace(IDLE, sent_mono_ns=50)))
         assert "stopped at" not in stage.log
         await stage.hear(CommandAnswered("stop", True, "", at_mono_ns=100))
@@ -197,7 +204,7 @@ def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_i
         assert "stopped at" not in stage.log
         await stage.hear(StatusArrived(replace(IDLE, sent_mono_ns=101, position_steps=1236)))
         assert "stopped at" in stage.log and "1236 microsteps" in stage.log
-        assert "STOP" not in stage.shown(StatePane)
+        assert "STOP" not in stage.shown(Header)
 
     drive(script)
 
@@ -207,7 +214,7 @@ def test_a_stop_that_nobody_answered_is_called_not_confirmed():
         await stage.connect(SWEEPING)
         await stage.press("space")
         await stage.hear(CommandAnswered("stop", False, "no answer", at_mono_ns=100))
-        assert "STOP NOT CONFIRMED" in stage.shown(StatePane)
+        assert "STOP NOT CONFIRMED" in stage.shown(Header)
 
     drive(script)
 
@@ -227,11 +234,11 @@ def test_a_fault_is_a_banner_until_it_is_acknowledged_and_stays_in_the_log():
         banner = stage.shown(FaultBanner)
         for words in ("F03", "the writer is lost", "410 of 527 frames are saved", "nothing"):
             assert words in banner
-        assert stage.app._rig.query_one(FaultBanner).display
+        assert stage.app.rig_screen.query_one(FaultBanner).display
         await stage.press("a")
         assert stage.link.sent == [("acknowledge", {"code": "F03"})]
         await stage.hear(StatusArrived(replace(SWEEPING, faults=[replace(FAULT, acknowledged=True)])))
-        assert not stage.app._rig.query_one(FaultBanner).display
+        assert not stage.app.rig_screen.query_one(FaultBanner).display
         assert "F03 the writer is lost" in stage.log
 
     drive(script)
@@ -314,7 +321,7 @@ def test_a_terminal_that_is_too_small_says_so_and_stop_still_works():
         await stage.connect(SWEEPING)
         await stage.pilot.resize_terminal(50, 15)
         await stage.pilot.pause()
-        assert stage.app._rig.has_class("small")
+        assert stage.app.rig_screen.has_class("small")
         await stage.press("space")
         assert stage.link.sent == [("stop", {})]
 
@@ -324,7 +331,7 @@ def test_a_terminal_that_is_too_small_says_so_and_stop_still_works():
 def test_an_ascii_console_shows_ascii_only_in_its_panes():
     async def script(stage):
         await stage.connect(replace(SWEEPING, faults=[FAULT]))
-        for pane in (StatePane, SweepPane, FaultBanner, TitleLine, KeyLine):
+        for pane in (StatePane, SweepPane, FaultBanner, Header, KeyLine):
             assert stage.shown(pane).isascii()
 
     drive(script, ascii_only=True)

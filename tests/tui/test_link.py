@@ -15,7 +15,7 @@ from textual.message import Message
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
 from tui.link import AWAY_S, RigLink
-from tui.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, StatusArrived
+from tui.messages import CommandAnswered, LinkChanged, News, PageKnown, ProgressArrived, StatusArrived
 
 
 class Ear:
@@ -26,9 +26,11 @@ class Ear:
         self._news = threading.Condition()
 
     def __call__(self, message: Message) -> None:
+        assert isinstance(message, News)
         with self._news:
-            self.heard.append(message)
+            self.heard += message.parts
             self._news.notify_all()
+        message.taken()
 
     def wait(self, kind: type, wanted: Callable = lambda message: True, deadline_s: float = 5.0):
         def found():

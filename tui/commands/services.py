@@ -64,18 +64,20 @@ def viewer(session: Session, port: int | None) -> None:
 
 @click.command()
 @click.option("--ascii", "ascii_only", is_flag=True, help="Draw with plain ASCII signs only.")
+@click.option("--read-only", is_flag=True, help="Look only: no action that moves or changes the rig; STOP stays.")
 @click.pass_obj
-def console(session: Session, ascii_only: bool) -> int:
+def console(session: Session, ascii_only: bool, read_only: bool) -> int:
     """Show and steer the rig in this terminal.
 
     Closing it never touches a sweep: come back at any time."""
     from tui.terminal import require_terminal
 
     require_terminal("the console")
-    session.config()  # an unusable rig.toml is told before the screen is taken
+    config = session.config()  # an unusable rig.toml is told before the screen is taken
     from tui.app import run_console
+    from tui.console_options import options_for
 
-    return run_console(ascii_only=ascii_only)
+    return run_console(options_for(config, ascii_only=ascii_only, read_only=read_only))
 
 
 @click.command()

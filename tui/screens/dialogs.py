@@ -1,38 +1,24 @@
-"""Dialogs above the rig screen: the name of a scan, leaving while a sweep runs, help. STOP works in all of them."""
+"""Dialogs above a screen: one value, a form, a confirmation. STOP works in all of them; what can do harm waits."""
 
 from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding
-from textual.containers import Vertical
+from textual.containers import Grid, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
 TYPE_AHEAD_S = 0.3
 """A dialog that can do harm ignores keys for so long, so that type-ahead does not answer it."""
+SPACE_HINT = "SPACE is STOP here too: type _ for a space"
 
-_BOX = """
-{name} {{ align: center middle; }}
-{name} > Vertical {{ width: 64; max-width: 96%; height: auto; border: thick $primary; padding: 1 2;
-                     background: $surface; }}
-"""
-
-HELP = """\
-s      start a sweep (asks for a name)
-p      pause: the stage holds, nothing is lost
-r      resume
-SPACE  STOP, everywhere and at once; frames taken are kept
-       (confirmed by the rig's state, not by the key)
-a      acknowledge the newest fault
-q      leave; the sweep goes on without this screen
-?      this help; Escape closes it
-
-committed: in the file, survives the death of any program
-durable:   survives a power cut
-credit:    frames that may be triggered before the writer must answer"""
+R = TypeVar("R")
 
 
 def valid_name(text: str) -> bool:
@@ -40,65 +26,139 @@ def valid_name(text: str) -> bool:
     return re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", text) is not None
 
 
-class AskName(ModalScreen[str | None]):
-    """Asks for the name of a scan; None when it was left."""
+class Dialog(ModalScreen[R]):
+    """A box in the middle of the screen."""
 
-    DEFAULT_CSS = _BOX.format(name="AskName")
-    BINDINGS = [Binding("escape", "leave", "leave")]
-
-    def __init__(self, default: str) -> None:
-        super().__init__()
-        self._default = default
-
-    def compose(self) -> ComposeResult:
-        """A question, its field, a hint."""
-        with Vertical():
-            yield Static("Name of the scan (letters, digits, - _ .)")
-            yield Input(self._default, id="name", select_on_focus=True)
-            yield Static("Enter starts the sweep, Escape leaves; SPACE is STOP", id="hint")
-
-    def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Start if the name will do, else say what is wrong."""
-        if valid_name(event.value):
-            self.dismiss(event.value)
-        else:
-            self.query_one("#hint", Static).update("that is no name: use 1 to 64 letters, digits, - _ . without spaces")
-
-    def action_leave(self) -> None:
-        """Start nothing."""
-        self.dismiss(None)
-
-
-class ConfirmQuit(ModalScreen[bool]):
-    """Asks before a sweep that would end with this program is given up."""
-
-    DEFAULT_CSS = _BOX.format(name="ConfirmQuit")
-    BINDINGS = [Binding("y", "answer(True)", "end"), Binding("n,escape", "answer(False)", "stay")]
+    DANGEROUS: ClassVar[bool] = False
+    """True: keys typed before the dialog could be read do not count (300 ms)."""
+    DEFAULT_CSS = """
+    Dialog { align: center middle; background: $background 60%; }
+    Dialog > Vertical { width: 72; max-width: 96%; height: auto; max-height: 96%; border: round $accent;
+                        border-title-color: $text; padding: 0 1; background: $surface; }
+    Dialog .hint { color: $text-muted; height: auto; }
+    Dialog .error { color: $text-warning; text-style: bold; height: auto; }
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._opened_s = time.monotonic()
 
+    def may_take(self, key: str) -> bool:
+        """False for a key that must have been typed before the dialog was there."""
+        return not self.DANGEROUS or key in ("n", "escape") or time.monotonic() - self._opened_s >= TYPE_AHEAD_S
+
+    def action_leave(self) -> None:
+        """Change nothing."""
+        self.dismiss(None)
+
+
+class WordsInput(Input):
+    """A field for words: ``_`` becomes a space, because the space bar is STOP everywhere."""
+
+    DEFAULT_CSS = "WordsInput { border: none; height: 1; padding: 0; background: $panel; }"
+
+    def insert_text_at_cursor(self, text: str) -> None:
+        """Insert what was typed or pasted."""
+        super().insert_text_at_cursor(" " if text == "_" else text)
+
+
+class PlainInput(Input):
+    """A field of one line without a frame."""
+
+    DEFAULT_CSS = "PlainInput { border: none; height: 1; padding: 0; background: $panel; }"
+
+
+@dataclass(frozen=True)
+class Field:
+    """One line of a form."""
+
+    name: str
+    label: str
+    value: str
+    words: bool = False
+    """Free text, in which ``_`` is a space."""
+    help: str = ""
+    """Unit, limits, an example."""
+
+
+class Form(Dialog[Any]):
+    """Asks for several values; the answer is what ``parse`` makes of the texts, None when it was left."""
+
+    BINDINGS = [
+        Binding("escape", "leave", "leave"),
+        Binding("up", "app.focus_previous", "previous", show=False),
+        Binding("down", "app.focus_next", "next", show=False),
+    ]
+    DEFAULT_CSS = """
+    Form Grid { grid-size: 2; grid-columns: 18 1fr; grid-rows: auto; height: auto; }
+    Form Grid Static { height: auto; }
+    """
+
+    def __init__(
+        self,
+        title: str,
+        fields: Sequence[Field],
+        parse: Callable[[dict[str, str]], Any],
+        *,
+        done: str = "takes it over",
+    ) -> None:
+        """``parse`` raises ValueError with words for people; ``done`` says what Enter does."""
+        super().__init__()
+        self._title_words, self._fields, self._parse, self._done = title, fields, parse, done
+
+    def compose(self) -> ComposeResult:
+        """Labels and fields, a hint, room for what is wrong."""
+        with Vertical() as box:
+            box.border_title = self._title_words
+            with Grid():
+                for field in self._fields:
+                    yield Static(field.label, markup=False)
+                    kind = WordsInput if field.words else PlainInput
+                    yield kind(field.value, id=f"field-{field.name}", select_on_focus=True)
+            for field in self._fields:
+                if field.help:
+                    yield Static(f"{field.label}: {field.help}", classes="hint", markup=False)
+            space = SPACE_HINT if any(field.words for field in self._fields) else "SPACE is STOP"
+            yield Static(f"Enter {self._done}, Tab goes on, Escape leaves; {space}", classes="hint", markup=False)
+            yield Static("", id="wrong", classes="error", markup=False)
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Answer if the values will do, else say what is wrong."""
+        texts = {field.name: self.query_one(f"#field-{field.name}", Input).value.strip() for field in self._fields}
+        try:
+            answer = self._parse(texts)
+        except ValueError as error:
+            self.query_one("#wrong", Static).update(str(error))
+            return
+        self.dismiss(answer)
+
+
+class Confirm(Dialog[bool]):
+    """Asks before something that can do harm; ``yes`` is another key than the one that opened the question."""
+
+    DANGEROUS = True
+    BINDINGS = [Binding("n,escape", "answer(False)", "no")]
+
+    def __init__(self, lines: Sequence[str], yes: str, *, key: str = "y", no: str = "leave it") -> None:
+        super().__init__()
+        self._lines, self._yes, self._key, self._no = lines, yes, key, no
+        self._bindings.bind(key, "answer(True)", yes)
+
     def compose(self) -> ComposeResult:
         """The question and its two answers."""
         with Vertical():
-            yield Static("A sweep is running, and it ends with this demonstration.")
-            yield Static("The frames taken so far are kept.\n")
-            yield Static("y  end it and leave      n  stay")
+            for line in self._lines:
+                yield Static(line, markup=False)
+            yield Static(f"\n{self._key}  {self._yes}      n  {self._no}", markup=False)
 
-    def action_answer(self, leave: bool) -> None:
-        """Leave or stay; an answer typed before the question was there does not count."""
-        if not leave or time.monotonic() - self._opened_s >= TYPE_AHEAD_S:
-            self.dismiss(leave)
+    def action_answer(self, answer: bool) -> None:
+        """Yes or no."""
+        self.dismiss(answer)
 
 
-class Help(ModalScreen[None]):
-    """The keys and the words."""
+class ConfirmQuit(Confirm):
+    """Asks before a sweep that would end with this program is given up."""
 
-    DEFAULT_CSS = _BOX.format(name="Help").replace("width: 64", "width: 76")
-    BINDINGS = [Binding("escape,q,question_mark", "dismiss(None)", "close")]
-
-    def compose(self) -> ComposeResult:
-        """One text."""
-        with Vertical():
-            yield Static(HELP, markup=False)
+    def __init__(self) -> None:
+        lines = ("A sweep is running, and it ends with this demonstration.", "The frames taken so far are kept.")
+        super().__init__(lines, "end it and leave", no="stay")

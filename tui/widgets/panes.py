@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rich.text import Text
 
-from acquire.contract.messages import FaultReport, ResultProgress, Status
-from acquire.contract.states import HoldReason, Outcome, State
-from tui.fit import shorten, spread
+from acquire.contract.messages import ResultProgress, Status
+from tui.fit import shorten
+from tui.widgets.frame import NOT_CONNECTED
 from tui.widgets.lines import Lines
 from tui.words import (
     UNKNOWN_SIGN,
@@ -15,7 +15,6 @@ from tui.words import (
     credit_words,
     fraction_done,
     is_running,
-    newest_fault,
     outcome_line,
     position_words,
     rate_words,
@@ -26,28 +25,6 @@ from tui.words import (
 )
 
 COUNTS = ("triggered", "received", "committed", "durable", "retaken", "missing")
-NOT_CONNECTED = "not connected - retrying"
-
-
-class TitleLine(Lines):
-    """Program, devices, whether the daemon is heard; below it the address of the page."""
-
-    DEFAULT_CSS = "TitleLine { height: 2; background: $panel; padding: 0 1; }"
-
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(id="title", ascii_only=ascii_only)
-        self.devices = ""
-        self.connected = False
-        self.url = ""
-
-    def text_for(self, width: int) -> Text:
-        """Two lines."""
-        link = "connected" if self.connected else NOT_CONNECTED
-        first = spread(f"sweepscope  {self.devices}", link, width)
-        text = Text(first, style="bold", no_wrap=True)
-        text.stylize("green" if self.connected else "yellow", len(first) - len(link))
-        page = f"page  {self.url}" if self.url else "page  the viewer is not running"
-        return text.append("\n").append(page if len(page) <= width else self.url, style="not bold")
 
 
 class StatePane(Lines):
@@ -137,69 +114,3 @@ class SweepPane(Lines):
 
 def _outcome_style(status: Status) -> str:
     return "bold green" if outcome_line(status).startswith("SAVED") else "bold yellow"
-
-
-class FaultBanner(Lines):
-    """The newest fault until it is acknowledged: what happened, what is safe, what to do."""
-
-    DEFAULT_CSS = """
-    FaultBanner { height: 3; background: $error; color: $text; padding: 0 1; display: none; }
-    FaultBanner.visible { display: block; }
-    """
-
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(id="fault", ascii_only=ascii_only)
-        self.fault: FaultReport | None = None
-        self.waiting = 0
-
-    def show(self, faults: list[FaultReport]) -> None:
-        """Show the newest fault of ``faults`` that waits, or vanish."""
-        self.fault = newest_fault(faults)
-        self.waiting = sum(not fault.acknowledged for fault in faults)
-        self.set_class(self.fault is not None, "visible")
-        self.changed()
-
-    def text_for(self, width: int) -> Text:
-        """Three lines."""
-        if self.fault is None:
-            return Text()
-        sign = "X" if self.ascii_only else "✖"
-        more = f" (and {self.waiting - 1} more)" if self.waiting > 1 else ""
-        text = Text(no_wrap=True)
-        text.append(shorten(f"{sign} FAULT {self.fault.code}: {self.fault.happened}{more}", width), style="bold")
-        text.append("\n" + shorten(f"  safe:  {self.fault.safe}", width))
-        return text.append("\n" + shorten(f"  to do: {self.fault.to_do}  (a acknowledges)", width))
-
-
-class KeyLine(Lines):
-    """The keys that mean something now; help and STOP are there at any width."""
-
-    DEFAULT_CSS = "KeyLine { dock: bottom; height: 1; background: $panel; padding: 0 1; }"
-
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(id="keys", ascii_only=ascii_only)
-        self.status: Status | None = None
-        self.connected = False
-
-    def text_for(self, width: int) -> Text:
-        """One line."""
-        pinned = "? help   SPACE = STOP"
-        line = spread("   ".join(self._offers()), pinned, width)
-        text = Text(line, no_wrap=True)
-        text.stylize("bold red", max(0, len(line) - len("SPACE = STOP")))
-        return text
-
-    def _offers(self) -> list[str]:
-        offers = ["q quit"]
-        if self.status is None or not self.connected:
-            return offers
-        if newest_fault(self.status.faults):
-            offers.insert(0, "a acknowledge")
-        if self.status.state == State.SWEEPING:
-            offers.insert(0, "p pause")
-        elif self.status.state == State.HOLDING and self.status.hold_reason == HoldReason.PAUSED:
-            offers.insert(0, "r resume")
-        elif self.status.state == State.IDLE:
-            again = "s start again" if self.status.outcome not in ("", Outcome.RUNNING) else "s start"
-            offers.insert(0, again)
-        return offers

@@ -1,0 +1,61 @@
+"""What a console is started with: from the command line, the configuration, the operator's own keys, the terminal."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import sys
+from collections.abc import Mapping
+
+from textual.binding import Binding
+
+from acquire.contract.config import LoadedConfig
+from tui.app import ConsoleApp, ConsoleOptions
+from tui.draft import Draft
+from tui.keymap import keymap_path, load_keymap
+from tui.screens import SCREENS
+
+
+def options_for(
+    config: LoadedConfig,
+    *,
+    ascii_only: bool = False,
+    read_only: bool = False,
+    owns_rig: bool = False,
+    environ: Mapping[str, str] = os.environ,
+) -> ConsoleOptions:
+    """Raises ConfigError where the operator's keys cannot be used."""
+    keymap = load_keymap(keymap_path(environ), known_actions())
+    return ConsoleOptions(
+        ascii_only=ascii_only,
+        read_only=read_only,
+        owns_rig=owns_rig,
+        me=my_name(),
+        draft=Draft.of_config(config.rig, operator=_user()),
+        keymap=keymap,
+    )
+
+
+def known_actions() -> set[str]:
+    """Every action that may be given another key."""
+    found = {binding.id for binding in ConsoleApp.BINDINGS if isinstance(binding, Binding) and binding.id}
+    for entry in SCREENS:
+        screen = entry.make(ascii_only=True)
+        found |= {binding.id for _, binding in screen._bindings if binding.id}
+    return found
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user that the system does not know by name
+        return f"user {os.getuid()}"
+
+
+def my_name() -> str:
+    """``anna on pts/3``: tells this console from others of the same user."""
+    try:
+        terminal = os.ttyname(sys.stdin.fileno()).removeprefix("/dev/")
+    except (OSError, ValueError):
+        terminal = f"pid {os.getpid()}"
+    return f"{_user()} on {terminal}"[:128]
