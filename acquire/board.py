@@ -39,7 +39,8 @@ class Board:
 
     def __post_init__(self) -> None:
         rig = self.config.rig
-        self._lamp = LampTimer(rig.lamp.warm_up_s * (rig.simulation.time_scale if rig.stage.kind == "simulated" else 1))
+        self.time_scale = rig.simulation.time_scale if rig.stage.kind == "simulated" else 1.0
+        self.lamp = LampTimer(rig.lamp.warm_up_s * self.time_scale)
 
     def scan_started(self, now_ns: int) -> None:
         """A new scan begins: its clock starts, faults that were seen go."""
@@ -96,7 +97,7 @@ class Board:
             activity=interlude.doing,
             activity_share=interlude.share,
             proposal=interlude.proposal,
-            lamp_warm_s=self._lamp.update(now_ns, on=stage.lamp_on),
+            lamp_warm_s=self.lamp.update(now_ns, on=stage.lamp_on),
             camera_limits=camera_info.limits,
         )
         self.last = self._with_scan(facts, scan, now_ns) if scan is not None else self._with_last(facts)

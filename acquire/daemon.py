@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import signal
-from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,11 +16,10 @@ import zmq
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
 from acquire.contract.clocks import Clock, MonotonicClock, epoch_utc_ns
 from acquire.contract.config import LoadedConfig
-from acquire.contract.errors import ProtocolError, SweepscopeError
 from acquire.contract.faults import in_one_line, report
-from acquire.contract.lanes import Received, Sender, bind, receive
+from acquire.contract.lanes import Sender, bind
 from acquire.contract.logs import follow_scan
-from acquire.contract.messages import Command, FaultReport, Reply, Status
+from acquire.contract.messages import Command, FaultReport, Status
 from acquire.contract.notify import Notifier
 from acquire.contract.outcome import outcome_words
 from acquire.contract.places import lock_service, prepare_run_dir
@@ -30,7 +28,7 @@ from acquire.contract.units import NS_PER_S
 from acquire.stages.protocol import StageEvent
 
 from .board import Board
-from .complaints import log_now_and_then
+from .command_lane import CommandLane
 from .control import Control
 from .desk import Desk
 from .events import StopRequested, Tick
@@ -45,10 +43,6 @@ from .time_watch import TimeWatch
 
 logger = logging.getLogger(__name__)
 POLL_MS = 10
-MAX_COMMANDS_PER_TURN = 32
-MAX_REMEMBERED_REPLIES = 256
-_TIMELESS = ("stop", "status")
-"""Commands that are never too old to be done."""
 
 
 class Daemon:
@@ -71,10 +65,9 @@ class Daemon:
         self.interlude = Interlude(self)
         self.control = Control()
         self._desk = Desk(self)
-        self._replies: OrderedDict[str, Reply] = OrderedDict()
         self._status_due_ns = 0
         self._changed = True
-        self._malformed = self._malformed_told = 0
+        self._malformed_told = 0
         self._writer_lost = False
         self._status_next_ns = 0
         self._time = TimeWatch()
@@ -90,7 +83,8 @@ class Daemon:
         )
         self.stage_info = self.rig.open_stage(self._inbox.put)
         # who finds this lane finds a rig that answers: nothing said to it waits for devices to open
-        self._commands = Sender(bind(self._context, zmq.ROUTER, self._run_dir, "command"))
+        socket = bind(self._context, zmq.ROUTER, self._run_dir, "command")
+        self._commands = CommandLane(socket, self.clock, self.config.rig.limits.command_s, self._do)
         self.enter(State.IDLE)
         self.say(f"ready: {self.stage_info.kind} stage, {self.camera_info.kind} camera")
 
@@ -185,7 +179,7 @@ class Daemon:
             if self.scan is not None:
                 self.scan.handle(lane_event, now_ns)
                 self._changed = True
-        self._serve_commands()
+        self._changed |= self._commands.serve()
         self._watch_messages()
         if self.scan is not None:
             self.scan.handle(Tick(), now_ns)
@@ -240,7 +234,7 @@ class Daemon:
 
     def _watch_messages(self) -> None:
         """Tell of messages that nobody could read: the first, and when there are ten times as many."""
-        count = self._malformed + self.lane.counters["malformed"]
+        count = self._commands.malformed + self.lane.counters["malformed"]
         if count // 10 >= self._malformed_told and count > self._malformed_told:
             self._malformed_told = count
             self.fault(report("F20", count=count))
@@ -253,52 +247,9 @@ class Daemon:
 
     # ---- clients ----
 
-    def _serve_commands(self) -> None:
-        for _ in range(MAX_COMMANDS_PER_TURN):
-            try:
-                received = receive(self._commands.socket)
-            except ProtocolError as error:
-                self._malformed += 1
-                log_now_and_then(logger, self._malformed, f"command lane: {error}")
-                continue
-            if received is None:
-                return
-            self._answer(received)
-
-    def _answer(self, received: Received) -> None:
-        command = received.message
-        if not isinstance(command, Command):
-            self._malformed += 1
-            return
-        reply = self._replies.get(command.request_id)
-        if reply is None:
-            reply = self._reply_to(command)
-            self._replies[command.request_id] = reply
-            while len(self._replies) > MAX_REMEMBERED_REPLIES:
-                self._replies.popitem(last=False)
-        self._commands.send(reply, routing_id=received.routing_id)
-        self._changed = True
-
-    def _reply_to(self, command: Command) -> Reply:
-        now_ns = self.clock.now_ns()
-        age_ns = now_ns - command.sent_mono_ns
-        if (
-            command.sent_mono_ns
-            and age_ns > self.config.rig.limits.command_s * NS_PER_S
-            and command.name not in _TIMELESS
-        ):
-            # it lay in a queue while the daemon was away or frozen: whoever asked has long given up
-            return Reply(
-                request_id=command.request_id,
-                ok=False,
-                error=f"{command.name} came {age_ns / NS_PER_S:.0f} s late and was not done; ask again",
-            )
-        try:
-            self.control.hear(command.name, command.client, now_ns)
-            result = self._desk.serve(command.name, command.args, command.client)
-            return Reply(request_id=command.request_id, ok=True, result=result)
-        except SweepscopeError as error:
-            return Reply(request_id=command.request_id, ok=False, error=str(error))
+    def _do(self, command: Command) -> dict[str, Any]:
+        self.control.hear(command.name, command.client, self.clock.now_ns())
+        return self._desk.serve(command.name, command.args, command.client)
 
     # ---- status ----
 

@@ -11,14 +11,15 @@ from acquire.contract.errors import CommandRefusedError
 from acquire.contract.states import State
 from acquire.stages.protocol import StageStatus
 
+from .activity_desk import ActivityDesk
 from .events import PauseRequested, ResumeRequested, StopRequested
 from .preparing import PreparedScan, check_scan, estimated_duration_s, prepare_scan
 from .requests import AcknowledgeRequest, NoArguments, ResumeScanRequest, ScanRequest, parse_request
 from .resuming import prepare_resume
-from .rig_desk import Result, RigDesk
+from .rig_desk import Result
 
 
-class Desk(RigDesk):
+class Desk(ActivityDesk):
     """Serves commands. Each method returns what the reply carries or raises why it was refused."""
 
     def serve(self, name: str, args: dict[str, Any], client: str = "") -> Result:

@@ -40,6 +40,12 @@ class Interlude:
         self._next_ns = 0
         self._owed_until_ns = 0
         """A picture was asked for and may come until then; 0: none was."""
+        self._asker: Activity | None = None
+        """Who asked for it; None: the preview."""
+        self._asked = (0, 0.0)
+        """Position in microsteps and exposure in ms when it was asked for."""
+        self._next_wanted = False
+        """An activity waits for its own picture until the one before has come."""
         self._sweep_began_ns = 0
 
     @property
@@ -79,6 +85,10 @@ class Interlude:
     def moving(self, state: State) -> None:
         """The stage was told to move (or to home)."""
         self._go(state)
+
+    def propose(self, proposal: Proposal) -> None:
+        """Show what a pre-scan found until the next sweep."""
+        self.proposal = proposal
 
     def stop(self) -> None:
         """End the activity; the caller stops the stage. The preview goes on: it moves nothing."""
@@ -120,8 +130,9 @@ class Interlude:
         if self._owed_until_ns and now_ns > self._owed_until_ns:
             self._owed_until_ns = 0
             self.counters["pictures_late"] += 1
-            if self.activity is not None and self.activity.snaps:
+            if self._asker is not None and self._asker is self.activity:
                 self._tell(lambda activity: activity.on_no_frame(now_ns))
+            self._snap_if_wanted(now_ns)
         self._tell(lambda activity: activity.on_tick(now_ns))
         if self._wants_picture(now_ns):
             self._next_ns = now_ns + round(NS_PER_S / self.rate_hz)
@@ -135,7 +146,13 @@ class Interlude:
     # ---- what activities use ----
 
     def snap(self, now_ns: int) -> None:
-        """Take one picture; it comes to the activity, and to whoever looks."""
+        """Take one picture, as soon as the last one has come; it comes to the activity, and to whoever looks."""
+        if self._owed_until_ns:
+            self._next_wanted = True
+            return
+        self._next_wanted = False
+        self._asker = self.activity if self.activity is not None and self.activity.snaps else None
+        self._asked = self._daemon.rig.stage.status().position_steps, self._daemon.settings.exposure_ms
         rig = self._daemon.config.rig
         longest_ms = self._daemon.settings.exposure_ms * max(1.0, rig.simulation.time_scale)
         self._owed_until_ns = now_ns + ns_from_ms(longest_ms + rig.camera.frame_timeout_ms)
@@ -152,12 +169,17 @@ class Interlude:
         if not self._owed_until_ns:
             return
         self._owed_until_ns = 0
-        daemon = self._daemon
-        position = daemon.rig.stage.status().position_steps
-        um = steps_to_um(position, daemon.config.rig.stage.um_per_microstep)
-        daemon.preview.show(View(frame.pixels, position, um, daemon.settings.exposure_ms), daemon.camera_info.format)
-        if self.activity is not None and self.activity.snaps:
+        position, exposure_ms = self._asked
+        um = steps_to_um(position, self._daemon.config.rig.stage.um_per_microstep)
+        self._daemon.preview.show(View(frame.pixels, position, um, exposure_ms), self._daemon.camera_info.format)
+        if self._asker is not None and self._asker is self.activity:
             self._tell(lambda activity: activity.on_frame(frame, now_ns))
+        self._snap_if_wanted(now_ns)
+
+    def _snap_if_wanted(self, now_ns: int) -> None:
+        if self._next_wanted:
+            self._next_wanted = False
+            self._tell(lambda _activity: self.snap(now_ns))
 
     def _take_rest(self, event: Rest, now_ns: int) -> None:
         self._tell(lambda activity: activity.on_rest(event, now_ns))
@@ -187,7 +209,7 @@ class Interlude:
             self._finish()
 
     def _finish(self) -> None:
-        activity, self.activity = self.activity, None
+        activity, self.activity, self._next_wanted = self.activity, None, False
         assert activity is not None
         self.counters["activities_failed" if activity.failed else "activities_done"] += 1
         self._daemon.say(f"{activity.name}: {activity.ended}")

@@ -32,6 +32,8 @@ from .shooting import SweepSettings
 from .window import slots_for
 
 _LONGEST_FINAL_MOVE_MS = 10_000.0
+LONGEST_EXPOSURE_SHARE = 0.9
+"""Of a frame's period: the rest belongs to the camera's dead time."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,12 @@ def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) 
         exposure_ms=camera.exposure_ms,
     )
     _check_travel(plan, stage)
+    longest_ms = LONGEST_EXPOSURE_SHARE * 1000 / sweep.max_rate_hz
+    if plan.mode == "fly" and plan.exposure_ms > longest_ms:
+        raise CommandRefusedError(
+            f"an exposure of {plan.exposure_ms:g} ms is longer than {LONGEST_EXPOSURE_SHARE:g} of a frame's period "
+            f"({longest_ms:.3g} ms): shorten it, lower sweep.max_rate_hz, or sweep in step mode"
+        )
     if plan.count > MAX_FRAMES:
         raise CommandRefusedError(f"{plan.count} frames are more than the bound of {MAX_FRAMES}: use larger steps")
     return plan

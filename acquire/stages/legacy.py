@@ -74,11 +74,11 @@ class LegacyStage(HostRunStage):
             triggers=self._triggers,
         )
 
-    def move_to(self, position_steps: int) -> None:
-        """Start a move."""
+    def move_to(self, position_steps: int, rate_steps_per_s: float = 0.0) -> None:
+        """Start a move; its bytes bound the speed at 480 microsteps per second."""
         if self._zeros:
             self._check_travel(position_steps)
-        self._start(lambda: self._move(position_steps))
+        self._start(lambda: self._move(position_steps, rate_steps_per_s))
 
     def home(self) -> None:
         """There is no switch to find."""
@@ -122,8 +122,8 @@ class LegacyStage(HostRunStage):
         """There is nothing to touch: the report says so."""
         self._end_with(self._moved())
 
-    def _move(self, position_steps: int) -> None:
-        self._travel(position_steps)
+    def _move(self, position_steps: int, rate_steps_per_s: float) -> None:
+        self._travel(position_steps, rate_steps_per_s)
         self._end_with(self._moved())
 
     def _zero(self) -> None:
@@ -131,18 +131,20 @@ class LegacyStage(HostRunStage):
         self._zeros += 1
         self._end_with(self._moved())
 
-    def _travel(self, target_steps: int) -> None:
+    def _travel(self, target_steps: int, rate_steps_per_s: float = 0.0) -> None:
         """Write steps in small chunks, each given the time that its bytes take, so that a stop is obeyed soon."""
         assert self._port is not None
         self._wait(self._ready_s - time.monotonic())
         outward = target_steps >= self._position
+        step_s = max(len(STEP_BYTES) * _BYTE_S, 1 / rate_steps_per_s if rate_steps_per_s else 0.0)
+        chunk_steps = max(1, min(_CHUNK_STEPS, int(_CHUNK_STEPS * len(STEP_BYTES) * _BYTE_S / step_s)))
         if target_steps != self._position:
             self._port.write(OUTWARD if outward else INWARD)
         while self._position != target_steps:
-            count = min(_CHUNK_STEPS, abs(target_steps - self._position))
+            count = min(chunk_steps, abs(target_steps - self._position))
             self._port.write(STEP_BYTES * count)
             self._position += count if outward else -count
-            self._wait(count * len(STEP_BYTES) * _BYTE_S)
+            self._wait(count * step_s)
 
     def _shoot(self, segment: Segment) -> None:
         self._travel(self._run_up_from(segment.first_steps, segment.pitch_steps, segment.run_up_steps))

@@ -134,8 +134,11 @@ class Stage(Protocol):
         """What the host knows now; does not ask the controller."""
         ...
 
-    def move_to(self, position_steps: int) -> None:
-        """Start a move; ``Moved`` (or ``Stopped``, ``Alarm``) follows."""
+    def move_to(self, position_steps: int, rate_steps_per_s: float = 0.0) -> None:
+        """Start a move; ``Moved`` (or ``Stopped``, ``Alarm``) follows.
+
+        ``rate_steps_per_s`` is not exceeded; 0, or more than the stage's highest: as fast as the stage goes.
+        """
         ...
 
     def home(self) -> None:

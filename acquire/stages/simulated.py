@@ -70,10 +70,10 @@ class SimulatedStage(HostRunStage):
             lamp_on=self._lamp_on,
         )
 
-    def move_to(self, position_steps: int) -> None:
+    def move_to(self, position_steps: int, rate_steps_per_s: float = 0.0) -> None:
         """Start a move within the soft limits."""
         self._check_travel(position_steps)
-        self._start(lambda: self._move_and_tell(position_steps))
+        self._start(lambda: self._move_and_tell(position_steps, rate_steps_per_s))
 
     def home(self) -> None:
         """Go to the limit switch, which is zero, and make a new zero_id."""
@@ -110,8 +110,8 @@ class SimulatedStage(HostRunStage):
     def _moved(self, steps_lost: int | None = None) -> Moved:
         return Moved(self._position, position_trusted=True, zero_id=self._zero_id, steps_lost=steps_lost)
 
-    def _move_and_tell(self, position_steps: int) -> None:
-        self._travel(position_steps)
+    def _move_and_tell(self, position_steps: int, rate_steps_per_s: float) -> None:
+        self._travel(position_steps, rate_steps_per_s)
         self._end_with(self._moved())
 
     def _home(self) -> None:
@@ -175,19 +175,20 @@ class SimulatedStage(HostRunStage):
         self._sink(Triggered(trigger_id, shot_index, self._position, at_ns, at_ns, middle_um))
         self._line(middle_steps, at_ns, travel_steps)
 
-    def _travel(self, target_steps: int) -> None:
+    def _travel(self, target_steps: int, rate_steps_per_s: float = 0.0) -> None:
         """Move at the profile's speed; a stop is obeyed within a slice."""
         start, started_s = self._position, time.monotonic()
-        duration_s = self._duration_s(abs(target_steps - start)) * self._time_scale
+        duration_s = self._duration_s(abs(target_steps - start), rate_steps_per_s) * self._time_scale
         while (elapsed_s := time.monotonic() - started_s) < duration_s - _SHORTEST_WAIT_S:
             self._position = start + round((target_steps - start) * elapsed_s / duration_s)
             self._sleep_until(min(started_s + duration_s, time.monotonic() + _SLICE_S))
         self._raise_if_stopped()
         self._position = target_steps
 
-    def _duration_s(self, distance_steps: int) -> float:
+    def _duration_s(self, distance_steps: int, rate_steps_per_s: float) -> float:
         """Time of a trapezoidal move (seconds of a real stage)."""
         rate, acceleration = self._config.max_rate_steps_per_s, self._config.acceleration_steps_per_s2
+        rate = min(rate, rate_steps_per_s or rate)
         ramp_steps = rate * rate / acceleration
         if distance_steps < ramp_steps:
             return 2 * math.sqrt(distance_steps / acceleration)

@@ -15,6 +15,8 @@ from .uno_config import segment_body
 from .uno_reports import Activity, UnoReports, result_of
 from .uno_words import refusal
 from .wire import (
+    RATE_MAX,
+    RATE_MIN,
     RT_ESTOP,
     RT_ESTOP_CONFIRM,
     RT_HOLD,
@@ -84,12 +86,13 @@ class UnoStage(UnoReports):
                 logger.warning("the stage was closed without an answer: %s", error)
         self._link.close()
 
-    def move_to(self, position_steps: int) -> None:
+    def move_to(self, position_steps: int, rate_steps_per_s: float = 0.0) -> None:
         """Start a move."""
         low, high = self._config.travel_min_steps, self._config.travel_max_steps
         if self.status().position_trusted and not low <= position_steps <= high:
             raise CommandRefusedError(f"{position_steps} microsteps is outside the travel {low}..{high}")
-        self._start("move", Cmd.MOVE, MoveBody(position_steps, 0, 0).pack())
+        rate = min(rate_steps_per_s, self._config.max_rate_steps_per_s, RATE_MAX)
+        self._start("move", Cmd.MOVE, MoveBody(position_steps, 0, max(RATE_MIN, round(rate)) if rate else 0).pack())
 
     def home(self) -> None:
         """Find the limit switch; makes a new zero."""

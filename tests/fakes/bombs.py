@@ -13,8 +13,13 @@ import zmq
 from acquire.contract.codec import encode
 from acquire.contract.lanes import connect
 from acquire.contract.messages import PROTOCOL, Command, Image, Nack
+from acquire.requests import REQUESTS
 
-LANES = {"command": zmq.DEALER, "frames": zmq.DEALER, "status": zmq.XSUB, "live": zmq.XSUB, "results": zmq.XSUB}
+LANES = {
+    "command": zmq.DEALER,
+    "frames": zmq.DEALER,
+    **dict.fromkeys(("status", "live", "results", "preview"), zmq.XSUB),
+}
 
 
 def bombs(seed: int) -> Iterator[list[bytes]]:
@@ -107,10 +112,12 @@ def _big_part(source: random.Random) -> list[bytes]:
 
 
 def _wild_command(source: random.Random) -> list[bytes]:
-    name = source.choice(["scan", "goto", "jog", "camera", "acknowledge", "explode", "resume_scan"])
+    name = source.choice([*REQUESTS, "explode"])
     value: Any = source.choice([10**15, -1, 1e308, float("nan"), "x" * 5000, [1] * 500, {"a": {}}, None, True])
-    key = source.choice(["position_steps", "steps", "name", "exposure_ms", "path", "first_steps", "nonsense"])
-    return [msgpack.packb(_header(request_id=str(source.random()), name=name, args={"nonsense": 1, key: value}))]
+    keys = "position_steps steps name exposure_ms path first_steps on rate_hz direction action every_steps nonsense"
+    args = {"nonsense": 1, source.choice(keys.split()): value}
+    client = source.choice(["", "mallory", "x" * 5000, 7])
+    return [msgpack.packb(_header(request_id=str(source.random()), name=name, args=args, client=client))]
 
 
 def _wrong_epoch(source: random.Random) -> list[bytes]:

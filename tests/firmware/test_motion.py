@@ -90,6 +90,13 @@ def test_moves_end_exactly_where_they_must(bench, target):
     bench.assert_true_position()
 
 
+def test_a_move_goes_no_faster_than_it_is_told(bench):
+    before = bench.pins().cycles
+    bench.stage.move_to(100, 200.0)
+    bench.wait(Moved)
+    assert bench.pins().cycles - before >= 0.5 * 16_000_000
+
+
 def test_a_place_outside_the_travel_is_refused_and_nothing_moves(bench):
     before = bench.pins().steps
     with pytest.raises(CommandRefusedError, match=r"0\.\.4500"):

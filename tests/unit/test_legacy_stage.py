@@ -6,6 +6,7 @@ import os
 import pty
 import queue
 import threading
+import time
 import tty
 
 import pytest
@@ -98,6 +99,13 @@ def test_moves_send_one_pulse_for_each_microstep_either_way(rig):
     rig.next()
     assert settled(rig, -4)
     assert rig.sketch.step == 0 and rig.sketch.unknown == b""
+
+
+def test_a_move_goes_no_faster_than_it_is_told(rig):
+    start_s = time.monotonic()
+    rig.stage.move_to(20, 100.0)
+    assert rig.next().position_steps == 20
+    assert time.monotonic() - start_s >= 0.2
 
 
 def test_the_position_is_not_trusted_until_it_is_zeroed(rig):

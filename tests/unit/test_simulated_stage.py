@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 
 import pytest
 
@@ -81,6 +82,13 @@ def test_a_hold_is_told_once_and_a_resume_goes_on(rig):
     rig.stage.resume()
     assert rig.next().shot_index == 1
     assert isinstance(rig.next(), SegmentDone)
+
+
+def test_a_move_goes_no_faster_than_it_is_told(slow_rig):
+    start_s = time.monotonic()
+    slow_rig.stage.move_to(40, 200.0)
+    assert slow_rig.next().position_steps == 40
+    assert time.monotonic() - start_s >= 0.2
 
 
 def test_a_stop_ends_a_move_where_it_is(slow_rig):

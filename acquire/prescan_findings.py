@@ -1,0 +1,136 @@
+"""What a few looks say of a sweep: where the light meets the specimen and has passed it, how bright it gets. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .exposure_search import SATURATED, TARGET
+
+FEW: Final = 0.002
+"""Pixels of the specimen that may behave otherwise, as a share: noise and glints."""
+LEAST_PIXELS: Final = 4
+WIDEST_PX: Final = 256
+"""Looks are kept at most so wide: bounds need no more, and all of them are judged in one turn of the loop."""
+WARN_SHARE: Final = 0.005
+"""From this share of the specimen on, light at the wrong end is worth a warning."""
+RISEN: Final = 0.1
+DONE: Final = 0.9
+"""Shares of a pixel's range at which the light begins to arrive, and has arrived."""
+SATURATED_PIXELS: Final = 0.001
+_GUESS: Final = 0.5
+"""What is saturated could be anything: its exposure is halved, and a warning says so."""
+
+
+@dataclass
+class Looks:
+    """Reduced grey pictures, one for each position, and the brightest that was seen at full size."""
+
+    positions: list[int] = field(default_factory=list)
+    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
+    high: float = 0.0
+    """Highest 99.9th percentile of any look, as a share of full scale."""
+    full_scale_share: float = 0.0
+    """Largest share of a look's pixels at full scale."""
+
+    def add(self, position_steps: int, picture: NDArray[np.uint8], high: float, full_scale_share: float) -> None:
+        """One look: [h, w] grey or [h, w, 3] RGB, uint8, at most some hundred pixels wide."""
+        grey: NDArray[Any] = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
+        if grey.shape[1] > WIDEST_PX:
+            height = max(1, round(grey.shape[0] * WIDEST_PX / grey.shape[1]))
+            grey = cv2.resize(grey, (WIDEST_PX, height), interpolation=cv2.INTER_AREA)
+        self.positions.append(position_steps)
+        self.pictures.append(grey.astype(np.uint8, copy=False))
+        self.high = max(self.high, high)
+        self.full_scale_share = max(self.full_scale_share, full_scale_share)
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """From where to where a sweep should go."""
+
+    first_steps: int
+    last_steps: int
+    brightest_steps: int
+    """Where most of the specimen is lit: the place for setting the exposure."""
+    warnings: tuple[str, ...]
+
+
+def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bounds:
+    """Where the sweep should begin and end: one look's distance outside what the light does to the specimen.
+
+    The specimen is every pixel whose range reaches ``contrast`` (8-bit counts). Bounds lie within ``travel``.
+    """
+    positions, pictures = looks.positions, np.stack(looks.pictures)
+    low, high = pictures.min(axis=0), pictures.max(axis=0)
+    mask = cv2.medianBlur(((high - low) >= contrast).astype(np.uint8), 3) > 0
+    if np.count_nonzero(mask) < LEAST_PIXELS:
+        middle = positions[int(pictures.reshape(len(positions), -1).mean(axis=1).argmax())]
+        what = f"no pixel changes by {contrast:g} counts: is there a specimen, and does the light reach it?"
+        return Bounds(positions[0], positions[-1], middle, (what,))
+    risen, done, lit = _course(pictures[:, mask].astype(np.float32))
+    # what the light lies on all the time does not change, and is no darker than what it meets later
+    always = np.count_nonzero(low >= np.median((low[mask].astype(np.float32) + high[mask]) / 2))
+    lit_at_first = (np.count_nonzero(lit[0]) + always) / (lit.shape[1] + always)
+    begin, end = (_quantile(risen, FEW), _quantile(done, 1 - FEW))
+    pitch = positions[1] - positions[0] if len(positions) > 1 else 0
+    last = len(positions) - 1
+    return Bounds(
+        first_steps=_within(positions[max(begin - 1, 0)] - pitch, travel),
+        last_steps=_within(positions[end] + pitch, travel),
+        brightest_steps=positions[int(lit.sum(axis=1).argmax())],
+        warnings=tuple(_at_the_ends(lit_at_first, float((done == last).mean()), positions)),
+    )
+
+
+def propose_exposure(looks: Looks, exposure_ms: float, black: float, bounds_ms: Sequence[float]) -> tuple[float, str]:
+    """The exposure that brings the brightest of all looks to the target, in ms, and a warning (empty: none).
+
+    ``black`` is the black level as a share of full scale; the looks were taken with ``exposure_ms``.
+    """
+    shortest, longest = bounds_ms
+    if looks.high >= SATURATED or looks.full_scale_share >= SATURATED_PIXELS:
+        share = 100 * looks.full_scale_share
+        warning = (
+            f"up to {share:.1f} % of the picture is saturated at {exposure_ms:.3g} ms: "
+            "search the exposure where the light is on the specimen"
+        )
+        return max(exposure_ms * _GUESS, shortest), warning
+    wanted_ms = exposure_ms * (TARGET - black) / max(looks.high - black, 1e-3)
+    if wanted_ms <= longest:
+        return max(wanted_ms, shortest), ""
+    return longest, f"it stays dark: {wanted_ms:.3g} ms would be right, {longest:.3g} ms is the longest; raise the gain"
+
+
+def _course(seen: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """For each pixel [n]: looks at which the light begins to arrive and has arrived; and [looks, n] where it is lit."""
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    risen = (seen >= low + RISEN * (high - low)).argmax(axis=0)
+    done = (seen >= low + DONE * (high - low)).argmax(axis=0)
+    return risen, done, 2 * seen >= low + high
+
+
+def _quantile(looks: NDArray[np.int64], share: float) -> int:
+    return int(np.quantile(looks, share, method="nearest"))
+
+
+def _within(position_steps: int, travel: tuple[int, int]) -> int:
+    return min(max(position_steps, travel[0]), travel[1])
+
+
+def _at_the_ends(lit_at_first: float, late_at_last: float, positions: Sequence[int]) -> list[str]:
+    found = []
+    if lit_at_first > WARN_SHARE:
+        found.append(
+            f"{100 * lit_at_first:.1f} % of the specimen is lit in the first look, at {positions[0]}: begin outside it"
+        )
+    if late_at_last > WARN_SHARE:
+        found.append(
+            f"{100 * late_at_last:.1f} % of the specimen is dark until the last look, at {positions[-1]}: end later"
+        )
+    return found
