@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import appliance, calibrate, files, rig, services, stage, tools
+from tui.commands import appliance, calibrate, devices, files, rig, services, stage, tools
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -31,6 +31,7 @@ def cli(context: click.Context, config_path: str | None, debug: bool) -> None:
 for _command in (
     *services.COMMANDS,
     *rig.COMMANDS,
+    *devices.COMMANDS,
     *files.COMMANDS,
     *calibrate.COMMANDS,
     *stage.COMMANDS,

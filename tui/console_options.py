@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
 import os
-import sys
 from collections.abc import Mapping
 
 from textual.binding import Binding
@@ -14,6 +12,7 @@ from tui.app import ConsoleApp, ConsoleOptions
 from tui.draft import Draft
 from tui.keymap import keymap_path, load_keymap
 from tui.screens import SCREENS
+from tui.who import my_name, user_name
 
 
 def options_for(
@@ -31,7 +30,7 @@ def options_for(
         read_only=read_only,
         owns_rig=owns_rig,
         me=my_name(),
-        draft=Draft.of_config(config.rig, operator=_user()),
+        draft=Draft.of_config(config.rig, operator=user_name()),
         keymap=keymap,
     )
 
@@ -43,19 +42,3 @@ def known_actions() -> set[str]:
         screen = entry.make(ascii_only=True)
         found |= {binding.id for _, binding in screen._bindings if binding.id}
     return found
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user that the system does not know by name
-        return f"user {os.getuid()}"
-
-
-def my_name() -> str:
-    """``anna on pts/3``: tells this console from others of the same user."""
-    try:
-        terminal = os.ttyname(sys.stdin.fileno()).removeprefix("/dev/")
-    except (OSError, ValueError):
-        terminal = f"pid {os.getpid()}"
-    return f"{_user()} on {terminal}"[:128]

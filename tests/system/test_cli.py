@@ -18,7 +18,8 @@ from tests.fakes.fake_daemon import FakeDaemon
 SUBCOMMANDS = [
     *("daemon", "writer", "worker", "viewer", "console", "up", "demo"),
     *("import", "reconstruct", "verify", "info", "config", "bench", "version"),
-    *("status", "scan", "pause", "resume", "stop", "goto", "jog", "home", "zero"),
+    *("status", "scan", "estimate", "pause", "resume", "stop", "goto", "jog", "home", "zero"),
+    *("lamp", "camera", "prescan", "control"),
 ]
 
 

@@ -40,8 +40,10 @@ class Session:
         """A client of the running daemon (raises NoServiceError)."""
         from acquire.contract.places import client_run_dir
         from tui.client import RigClient
+        from tui.who import my_name_at_a_terminal
 
-        return RigClient(client_run_dir(), timeout_s=self.config().rig.limits.command_s)
+        timeout_s = self.config().rig.limits.command_s
+        return RigClient(client_run_dir(), timeout_s=timeout_s, client=my_name_at_a_terminal())
 
     def service_run_dir(self) -> Path:
         """The directory of the services' sockets, made if it is not there."""

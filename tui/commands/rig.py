@@ -1,4 +1,4 @@
-"""Subcommands that ask the running daemon for something: status, scan, pause, resume, stop, and moves."""
+"""Subcommands that ask the running daemon for something: status, scan, estimate, pause, resume, stop."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.context import F, Session, json_option, print_json
 
 
 @click.command()
@@ -30,25 +30,42 @@ def status(session: Session, as_json: bool) -> None:
         click.echo(line)
 
 
+_PLAN = (
+    click.option("--name", default="sweep", show_default=True, help="Part of the scan folder's name."),
+    click.option("--first-steps", type=int, help="Position of frame 0 in microsteps."),
+    click.option("--last-steps", type=int, help="Position of the last frame in microsteps."),
+    click.option("--steps-per-frame", type=click.IntRange(min=1), help="Microsteps between two frames."),
+    click.option("--mode", type=click.Choice(["step", "fly"]), help="Stop for each frame, or trigger on the fly."),
+    click.option("--settle-ms", type=float, help="Rest between a step and its trigger, in ms."),
+    click.option("--specimen", help="What lies on the stage."),
+    click.option("--operator", help="Who takes the scan."),
+    click.option("--notes", help="Free text that goes into the file."),
+    click.option("--tag", "tags", multiple=True, help="May be given more than once."),
+    click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="What the scan is for."),
+)
+
+
+def _plan_options(function: F) -> F:
+    """The options that say what a scan is."""
+    for option in reversed(_PLAN):
+        function = option(function)
+    return function
+
+
 @click.command()
-@click.option("--name", default="sweep", show_default=True, help="Part of the scan folder's name.")
-@click.option("--first-steps", type=int, help="Position of frame 0 in microsteps.")
-@click.option("--last-steps", type=int, help="Position of the last frame in microsteps.")
-@click.option("--steps-per-frame", type=click.IntRange(min=1), help="Microsteps between two frames.")
-@click.option("--mode", type=click.Choice(["step", "fly"]), help="Stop for each frame, or trigger on the fly.")
-@click.option("--settle-ms", type=float, help="Rest between a step and its trigger, in ms.")
-@click.option("--specimen", help="What lies on the stage.")
-@click.option("--operator", help="Who takes the scan.")
-@click.option("--notes", help="Free text that goes into the file.")
-@click.option("--tag", "tags", multiple=True, help="May be given more than once.")
-@click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="What the scan is for.")
+@_plan_options
+@click.option("--from-proposal", is_flag=True, help="Take bounds and exposure from the last pre-scan.")
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @json_option
 @click.pass_obj
-def scan(session: Session, /, wait: bool, as_json: bool, tags: tuple[str, ...], **args: Any) -> int:
+def scan(
+    session: Session, /, wait: bool, from_proposal: bool, as_json: bool, tags: tuple[str, ...], **args: Any
+) -> int:
     """Run a sweep.
 
     Without --wait the command returns as soon as the sweep has begun."""
+    if from_proposal:
+        args = _proposed(session) | {name: value for name, value in args.items() if value is not None}
     return _run(session, "scan", wait, as_json, tags=list(tags) or None, **args)
 
 
@@ -88,6 +105,39 @@ def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: A
     return exit_status_of(end)
 
 
+def _proposed(session: Session) -> dict[str, Any]:
+    """The bounds of the last pre-scan; its exposure is set."""
+    from acquire.contract.errors import CommandRefusedError
+
+    with session.client() as client:
+        found = client.request("status").result.get("proposal")
+        if found is None:
+            raise CommandRefusedError("there is no proposal: run 'sweepscope prescan --wait' first")
+        client.request("camera", exposure_ms=found["exposure_ms"])
+    return {"first_steps": found["first_steps"], "last_steps": found["last_steps"]}
+
+
+@click.command()
+@_plan_options
+@json_option
+@click.pass_obj
+def estimate(session: Session, /, as_json: bool, tags: tuple[str, ...], **args: Any) -> None:
+    """Say how many frames, how long and how much disk a sweep takes.
+
+    Nothing is made and nothing moves; what 'scan' would refuse is refused here in the same words."""
+    from acquire.contract.units import format_bytes, format_duration
+
+    with session.client() as client:
+        found = client.request("estimate", **args, tags=list(tags) or None).result
+    if as_json:
+        print_json(found)
+        return
+    need, free = format_bytes(found["bytes"]), format_bytes(found["free_bytes"])
+    click.echo(f"{found['expected']} frames, {format_duration(found['seconds'])}, {need} of {free} free")
+    for warning in found["warnings"]:
+        click.echo(f"warning: {warning}")
+
+
 def _show_started(result: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(result)
@@ -118,32 +168,11 @@ def _simple(name: str, manual: str) -> click.Command:
     return command
 
 
-@click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("position_steps", type=int)
-@json_option
-@click.pass_obj
-def goto(session: Session, position_steps: int, as_json: bool) -> None:
-    """Move the stage to POSITION_STEPS microsteps."""
-    _ask(session, "goto", as_json, position_steps=position_steps)
-
-
-@click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("steps", type=int)
-@json_option
-@click.pass_obj
-def jog(session: Session, steps: int, as_json: bool) -> None:
-    """Move the stage by STEPS microsteps (negative: back)."""
-    _ask(session, "jog", as_json, steps=steps)
-
-
 COMMANDS: tuple[click.Command, ...] = (
     status,
     scan,
     _simple("pause", "Hold the running sweep; nothing is lost."),
     resume,
     _simple("stop", "End the sweep, keep what was taken; stop the stage."),
-    goto,
-    jog,
-    _simple("home", "Find the zero of the stage."),
-    _simple("zero", "Make the present position the zero of the stage."),
+    estimate,
 )
