@@ -14,6 +14,7 @@ from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError
 from acquire.contract.messages import FrameFormat, Start
 from acquire.contract.units import format_bytes
 
+from .estimates.early import EarlyEstimates
 from .fold import Fold
 from .frames import ScanFrames
 from .reconstruct import recorded_in
@@ -83,7 +84,8 @@ def check_memory(form: FrameFormat, fold_bytes: int) -> None:
     Raises:
         ScanRefusedError: how much it needs, and what to do.
     """
-    needed = Fold.bytes_needed((form.height, form.width), form.bit_depth)
+    shape = (form.height, form.width)
+    needed = Fold.bytes_needed(shape, form.bit_depth) + EarlyEstimates.bytes_needed(shape)
     if needed > fold_bytes:
         raise ScanRefusedError(
             f"the live cloud needs {format_bytes(needed)} for frames of {form.width} x {form.height}, "

@@ -24,6 +24,8 @@ SOURCES = (
     "estimates/edge_kernels",
     "estimates/block_kernels",
     "estimates/noise",
+    "estimates/columns",
+    "estimates/weighing",
     "estimates/filters",
 )
 """Modules of this package whose code or constants end up in kernels."""

@@ -14,6 +14,7 @@ from acquire.contract.errors import ScanFileError
 from acquire.contract.outcome import frame_crc32, scan_digest
 from acquire.contract.scan_reader import ScanLayout, ScanReader
 
+from .estimates.columns import ReadColumns, gathered
 from .fold import to_grey
 
 _DEMOSAIC = {
@@ -42,6 +43,7 @@ class ScanFrames:
         self._reader = _open(scan)
         self.damaged: set[int] = set()
         """Frames whose stored pixels do not have their checksum; they are treated as missing."""
+        self._mapped: NDArray[Any] | None = None
 
     def __enter__(self) -> ScanFrames:
         return self
@@ -53,6 +55,7 @@ class ScanFrames:
 
     def close(self) -> None:
         """Close the file; idempotent."""
+        self._mapped = None
         self._reader.close()
 
     @property
@@ -114,26 +117,44 @@ class ScanFrames:
             found[row] = grey
         return found
 
-    def rows(self, frames: NDArray[np.int64], first: int, count: int) -> NDArray[Any]:
-        """Grey values of ``count`` rows from ``first`` on in all ``frames``: [len(frames), count, w], read-only use.
+    def columns_of(self, frames: NDArray[np.int64]) -> ReadColumns:
+        """How the grey levels of single pixels are read over ``frames``, the same as those of the whole frames.
 
-        The same values as those of the whole frames: Bayer is read with the rows around it.
+        Raises:
+            ScanFileError: the file was cut short.
         """
         form = self.layout.format
-        bayer = form.pixel_format in _DEMOSAIC
-        begin = max(first - first % 2 - 2, 0) if bayer else first
-        end = min(first + count + 3, form.height) if bayer else first + count
-        stored = np.empty((len(frames), end - begin, *form.shape[1:]), np.dtype(form.dtype))
-        for place, frame_index in enumerate(frames):
-            self._reader.read_rows(int(frame_index), begin, stored[place])
-        if not bayer:
-            pile = stored.reshape(-1, *form.shape[1:])
-            return to_grey(pile, form.bit_depth).reshape(len(frames), count, form.width)
-        grey = np.empty((len(frames), count, form.width), stored.dtype)
-        inside = slice(first - begin, first - begin + count)
-        for place, image in enumerate(stored):
-            grey[place] = to_grey(displayed(image, form.pixel_format), form.bit_depth)[inside]
-        return grey
+        if self._mapped is None:
+            self._mapped = self._reader.mapped()
+        stored = self._mapped
+        if form.pixel_format in _DEMOSAIC or not stored.flags.aligned:
+            return lambda pixels, first, end: self._rows_of(frames, pixels, first, end)
+        stack = stored.reshape(len(stored), form.height * form.width, -1)
+
+        def read(pixels: NDArray[np.int64], first: NDArray[np.int64], end: NDArray[np.int64]) -> NDArray[Any]:
+            values = gathered(stack, frames, pixels, first, end)
+            return values.reshape(values.shape[:2]) if values.shape[2] == 1 else to_grey(values, form.bit_depth)
+
+        return read
+
+    def _rows_of(
+        self, frames: NDArray[np.int64], pixels: NDArray[np.int64], first: NDArray[np.int64], end: NDArray[np.int64]
+    ) -> NDArray[Any]:
+        """As ``ReadColumns``, by bands of rows: what a pixel of a mosaic is depends on those around it."""
+        form = self.layout.format
+        rows = pixels // form.width
+        lowest, highest = int(rows.min(initial=form.height)), int(rows.max(initial=0))
+        begin = max(lowest - lowest % 2 - 2, 0)
+        band = np.empty((max(min(highest + 4, form.height) - begin, 0), *form.shape[1:]), np.dtype(form.dtype))
+        inside = pixels - begin * form.width
+        out = np.empty((len(pixels), int((end - first).max(initial=0))), band.dtype)
+        for place in range(int(first.min(initial=len(frames))), int(end.max(initial=0))):
+            some = np.flatnonzero((first <= place) & (place < end))
+            if len(some):
+                self._reader.read_rows(int(frames[place]), begin, band)
+                grey = to_grey(displayed(band, form.pixel_format), form.bit_depth)
+                out[some, place - first[some]] = grey.reshape(-1)[inside[some]]
+        return out
 
 
 def _open(scan: Path) -> ScanReader:

@@ -21,8 +21,10 @@ from acquire.contract.states import SEALED_OUTCOMES
 from .cloud import Cloud, make_cloud, write_ply
 from .crossings import Maps
 from .cursor import CursorCounts, FoldCursor
+from .estimates.early import EarlyEstimates
 from .estimates.filters import filtered
-from .estimates.refine import Sequence, refine
+from .estimates.refine import refine
+from .estimates.weighing import Sequence
 from .fold import Fold
 from .frames import ScanFrames
 from .geometry import coordinates, plane_table, rays
@@ -131,11 +133,12 @@ def write_results(
     checks: SweepChecks = NOT_MEASURED,
     compare: bool = True,
     more_counts: dict[str, int] | None = None,
+    early: EarlyEstimates | None = None,
 ) -> Results:
     """Turn a finished fold into files; each replaces its predecessor by a rename.
 
     ``compare`` False leaves the truth to :func:`refresh_report`, because it takes as long as the maps;
-    ``more_counts`` are those that only the caller knows.
+    ``more_counts`` are those that only the caller knows; ``early`` as in :func:`final_maps`.
 
     Raises:
         ScanFileError: nothing was folded, or the file contradicts what was.
@@ -144,7 +147,7 @@ def write_results(
     """
     paths = ResultPaths(folder)
     with timings.stage("maps"):
-        maps = final_maps(cursor, frames, settings)
+        maps = final_maps(cursor, frames, settings, early)
     with timings.stage("cloud"):
         cloud = cloud_of(maps, settings, cursor.folded, frames.positions_um())
     digest = frames.digest()
@@ -173,8 +176,15 @@ def write_results(
     return Results(paths, cloud, report)
 
 
-def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Maps:
+def sequence_of(frames: ScanFrames, present: NDArray[np.int64], settings: Settings) -> Sequence:
+    """The folded frames of a scan file as the estimates see them."""
+    return Sequence(frames.columns_of(present), present, settings.edge, frames.layout.format.bit_depth)
+
+
+def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings, early: EarlyEstimates | None = None) -> Maps:
     """The maps of all frames folded, by the method of the settings; what the fold does not know is in the file.
+
+    early: estimates of the same frames that were made while they came; they change nothing but the time this takes.
 
     Raises:
         ScanFileError: nothing was folded, or the file contradicts what was.
@@ -191,9 +201,8 @@ def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Ma
     )
     if settings.method == "linear":
         return maps  # the paper's estimate, as it is: neither filtered nor weighed
-    form = frames.layout.format
-    sequence = Sequence(lambda first, count: frames.rows(present, first, count), present, settings.edge, form.bit_depth)
-    return filtered(refine(maps, settings.method, sequence, settings.noise_counts).maps)
+    sequence = sequence_of(frames, present, settings)
+    return filtered(refine(maps, settings.method, sequence, settings.noise_counts, early).maps)
 
 
 def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Results | None:

@@ -14,6 +14,7 @@ from acquire.contract.messages import End, Image, ResultProgress, Status
 from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS
 
+from .ahead import Ahead
 from .announced import Announced, check_memory, live_settings
 from .cursor import FoldCursor
 from .ending import Ending
@@ -48,6 +49,7 @@ class ScanSession:
         check_memory(self.form, fold_bytes)
         room = min(max(BUFFER_BYTES // self.form.nbytes, 4), 64)
         self.cursor = FoldCursor(lambda: new_fold(self.settings, self.form, announced.count), announced.count, room)
+        self._ahead = Ahead(self.settings, self.form)
         self.gate = LiveGate(announced)
         self.timings = Timings()
         self.results: Results | None = None
@@ -186,6 +188,8 @@ class ScanSession:
         if not self.cursor.folded.any():
             return None
         preview = make_preview(self.cursor, self.settings, self._position_um)
+        if preview.maps is not None:
+            self._ahead.propose(preview.maps, self.cursor, self.frames())
         self.shown = preview.counts
         return preview
 
@@ -218,6 +222,16 @@ class ScanSession:
         if self.behind:
             return f"reading frame {self.cursor.next_index} from the scan file"
         return "; ".join([*self.settings.warnings, *filter(None, [self.settings.what_is_missing])])
+
+    @property
+    def may_work_ahead(self) -> bool:
+        """Estimates can be made now that are then not left to the end."""
+        return self._ahead.busy
+
+    def work_ahead(self) -> None:
+        """Make a few of them: some milliseconds."""
+        with self.timings.stage("estimate_early"):
+            self._ahead.work(self.cursor)
 
     # ---- the end ----
 
@@ -264,6 +278,7 @@ class ScanSession:
             timings=self.timings,
             compare=False,
             more_counts=self.gate.counts.named(),
+            early=self._ahead.estimates(self.cursor),
         )
         self._show_all(self.results)
         return self.results

@@ -13,8 +13,13 @@ from acquire.contract.messages import FrameFormat
 
 from .cloud import make_cloud, write_ply
 from .crossings import Maps
+from .estimates.block_kernels import FITTED
+from .estimates.columns import columns_of_stack
+from .estimates.early import Found, examine_pixels, follow_pixels
 from .estimates.filters import filtered
-from .estimates.refine import Sequence, refine
+from .estimates.noise import assumed_noise
+from .estimates.refine import refine
+from .estimates.weighing import Sequence, Weighing, first_at_half
 from .fold import Fold
 from .geometry import coordinates, plane_table, rays
 from .report import versions
@@ -56,8 +61,14 @@ def warm_up() -> None:
 def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:
     """The second look at a scan of this depth."""
     levels = np.stack([_frame(k, bit_depth, 1) for k in range(FRAMES)])
-    sequence = Sequence(lambda first, rows: levels[:, first : first + rows], fold.present, "rising", bit_depth)
+    sequence = Sequence(columns_of_stack(levels), fold.present, "rising", bit_depth)
     filtered(refine(maps, "auto", sequence, 1.0).maps)
+    pixel, start, extent = np.zeros(1, np.int64), np.ones(1, np.int64), np.ones(1)
+    weighing = Weighing(assumed_noise(1.0), 1.0)
+    found = examine_pixels(sequence, weighing, pixel, start, extent, local=True, early=True)
+    known = Found(np.full(1, FITTED), found.columns, np.zeros(1, np.int64))
+    follow_pixels(sequence, weighing, pixel, start, known)
+    first_at_half(sequence.columns(pixel, 0 * start, start), sequence.full, 1, start)
 
 
 def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generic]:

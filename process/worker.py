@@ -116,7 +116,7 @@ class Worker:
         if self._status in ready and drained:  # an end must not overtake the frames that came before it
             self._drain(self._status, MAX_BURST)
         if self.session is not None:
-            self._advance(self.session)
+            self._advance(self.session, idle=self._live not in ready)
         now_ns = self._clock.now_ns()
         if self.outbox.progress_due(now_ns, news=self._news):
             self._news = False
@@ -126,6 +126,8 @@ class Worker:
         session = self.session
         if session is None or session.failure or session.results is not None:
             return IDLE_MS
+        if session.may_work_ahead:
+            return 0
         return FILE_WAIT_MS if session.wants_file or session.cursor.done else IDLE_MS
 
     # ---- what comes in ----
@@ -215,8 +217,11 @@ class Worker:
 
     # ---- what is done ----
 
-    def _advance(self, session: ScanSession) -> None:
-        """One step: gaps from the file, a preview, the results when all is folded, the report when it is sealed."""
+    def _advance(self, session: ScanSession, *, idle: bool) -> None:
+        """One step: gaps from the file, a preview, the results when all is folded, the report when it is sealed.
+
+        Without anything else to do, estimates that would otherwise be left to the end.
+        """
         if session.failure and not self._tries_again(session):
             return
         try:
@@ -226,14 +231,21 @@ class Worker:
                 self._finish(session)
             elif session.results is not None:
                 self._refresh(session)
-            elif (self._news or self.outbox.wants_preview) and self.outbox.preview_due(self._clock.now_ns()):
+            elif self._preview_due(session):
                 self.outbox.say_preview(session)
+            elif idle and session.may_work_ahead:
+                session.work_ahead()
         except SweepscopeError as error:
             self._fail(session, str(error))
         except Exception as error:  # noqa: BLE001 - the worker outlives any scan; what it could not make is made by reconstruct
             logger.exception("scan %s", session.announced.scan_uid)
             session.cursor.restart()
             self._fail(session, f"{type(error).__name__}: {error}")
+
+    def _preview_due(self, session: ScanSession) -> bool:
+        """There is something new to show, or to look at, and the end of the sweep does not wait for its results."""
+        asked = (self._news and not session.cursor.done) or self.outbox.wants_preview
+        return asked and self.outbox.preview_due(self._clock.now_ns())
 
     def _fail(self, session: ScanSession, why: str) -> None:
         session.failure = f"no maps: {why}; the scan is safe, 'sweepscope reconstruct' makes them"

@@ -310,6 +310,19 @@ class ScanReader:
                 raise ScanFileError(f"{self.layout.path} ends at byte {offset + read}: it was cut short")
             read += more
 
+    def mapped(self) -> NDArray[Any]:
+        """All frames as stored, [n, h, w] or [n, h, w, 3], mapped into memory: for reading single pixels of many.
+
+        Read-only; committed frames never change, others may. Valid as long as something refers to it, whatever the
+        file is called meanwhile.
+        """
+        region = self.layout.regions["data"]
+        if os.fstat(self._fd).st_size < region.offset + region.nbytes:
+            raise ScanFileError(f"{self.layout.path} was cut short")
+        with os.fdopen(os.dup(self._fd), "rb") as file:
+            pages = np.memmap(file, region.dtype, "r", region.offset, region.shape)
+        return np.asarray(pages)
+
     def frames(self, first: int = 0, last: int | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Present frames from ``first`` through ``last`` (both included) in order, with their index."""
         present = self.present()

@@ -19,8 +19,10 @@ from process.crossings import Maps
 from process.fold import Fold
 
 from .bound import crossing_bound
+from .columns import columns_of_stack
 from .filters import filtered
-from .refine import Method, Sequence, refine
+from .refine import Method, refine
+from .weighing import Sequence
 
 PHASES = 16
 DARK = 20.0
@@ -79,7 +81,7 @@ def estimated(frames: NDArray[np.uint8], method: Method, contrast: int, noise_co
     maps = fold.result(contrast=contrast, median=0, method=live, noise_counts=noise_counts, read_columns=None)
     if method == "linear":
         return maps
-    sequence = Sequence(lambda first, rows: frames[:, first : first + rows], fold.present, "rising", 8)
+    sequence = Sequence(columns_of_stack(frames), fold.present, "rising", 8)
     return filtered(refine(maps, method, sequence, noise_counts).maps)
 
 
@@ -147,7 +149,7 @@ def bench_fit_speed(shape: tuple[int, int] = (768, 1024), frames: int = 527) -> 
     for index, frame in enumerate(stack):
         fold.add(index, frame, keep=True)
     maps = fold.result(contrast=70, median=5, method="probit", noise_counts=2.0, read_columns=None)
-    sequence = Sequence(lambda first, rows: stack[:, first : first + rows], fold.present, "rising", 8)
+    sequence = Sequence(columns_of_stack(stack), fold.present, "rising", 8)
     some = np.full(shape, np.nan)
     chosen = slice(height // 2, height // 2 + max(1, height // 10))
     some[chosen] = maps.crossing[chosen]

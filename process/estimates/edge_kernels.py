@@ -87,7 +87,11 @@ def guess_edge(samples, start, half, spread, guess):
 
 @kernel
 def find_edge(samples, start, range_seen, spread, guess):
-    """The smallest window about `start` whose plateaus are flat leads to the guess; False: there is none."""
+    """The smallest window about `start` whose plateaus are flat leads to the guess; False: there is none.
+
+    guess [6] = low, height, place, width, last sample that was asked for (it may lie beyond the end), least height
+    of an edge that was taken for one: the outcome is the same for every range_seen up to twice that.
+    """
     half = LEAST_HALF
     found = False
     while True:
@@ -97,12 +101,15 @@ def find_edge(samples, start, range_seen, spread, guess):
         if found or half >= samples.size:
             break
         half *= 2
+    guess[4], guess[5] = start + half, guess[1]
     if not found:
         return False
     again = np.empty(4)
-    half = max(LEAST_HALF, int(math.ceil(6.0 * guess[3])))
-    if guess_edge(samples, int(guess[2] + 0.5), half, spread, again) and again[1] >= 0.5 * range_seen:
-        guess[:] = again
+    middle, half = int(guess[2] + 0.5), max(LEAST_HALF, int(math.ceil(6.0 * guess[3])))
+    guess[4] = max(guess[4], float(middle + half))
+    if guess_edge(samples, middle, half, spread, again) and again[1] >= 0.5 * range_seen:
+        guess[:4] = again
+        guess[5] = min(guess[5], again[1])
     return True
 
 
@@ -139,7 +146,10 @@ def flat_end(samples, begin, step, count, level, tolerance):
 
 @kernel
 def window_of(samples, guess, noise, bounds):
-    """Bounds of the fit: bounds = first, first inner, last inner, last ordinal; plateaus end where they change."""
+    """Bounds of the fit: bounds = first, first inner, last inner, last ordinal, last sample that was asked for.
+
+    Plateaus end where they change; the sample asked for may lie beyond the end.
+    """
     low, height, place, width = guess[0], guess[1], guess[2], guess[3]
     inner = int(math.ceil(INNER_WIDTHS * width)) + 2
     reach = max(LEAST_REACH, int(math.ceil(REACH_WIDTHS * width)))
@@ -153,6 +163,7 @@ def window_of(samples, guess, noise, bounds):
     bounds[3] = (
         middle + 1 + near + flat_end(samples, middle + 1 + near, 1, outer, low + height, max(bright, 0.1 * height))
     )
+    bounds[4] = middle + 2 + near + outer
     bounds[0], bounds[3] = max(bounds[0], 0), min(bounds[3], last)
     bounds[1], bounds[2] = max(bounds[0], middle - inner), min(bounds[3], middle + 1 + inner)
 
@@ -280,14 +291,16 @@ def _flat_sums(samples, begin, end, out):
 
 @kernel
 def fit_edge(samples, times, guess, sharp_width, noise, model):
-    """Weighted fit from a guess; model [8] = low, height, crossing (frames), width (frames), sigma
-    (frames), chi squared per degree of freedom, the value that chance seldom exceeds, 1 if bright to the end.
+    """Weighted fit from a guess; model [9] = low, height, crossing (frames), width (frames), sigma
+    (frames), chi squared per degree of freedom, the value that chance seldom exceeds, 1 if bright to the end,
+    last sample that was asked for (always set).
 
     samples [frames] in levels, times [frames] in frames; sharp_width: the scan's, in frames. Returns False where
     nothing came of it. What no sample tells, a weak prior does: the place of an edge that falls between two.
     """
-    bounds = np.empty(4, np.int64)
+    bounds = np.empty(5, np.int64)
     window_of(samples, guess, noise, bounds)
+    model[8] = bounds[4]
     flats = np.empty(6)
     _flat_sums(samples, bounds[0], bounds[1], flats[:3])
     _flat_sums(samples, bounds[2] + 1, bounds[3] + 1, flats[3:])

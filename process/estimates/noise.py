@@ -6,7 +6,6 @@ Promises a variance of at least the rounding's, 1/12 level squared, at every lev
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,43 +47,29 @@ def assumed_noise(noise_levels: float) -> NoiseModel:
 
 
 @kernel
-def _figure(column, begin, pairs, full, figures, row):
-    # mean level and variance from the differences of disjoint pairs of frames: slow changes cancel
-    total, squares = 0.0, 0.0
-    for pair in range(pairs):
-        one, other = float(column[begin + 2 * pair]), float(column[begin + 2 * pair + 1])
-        if min(one, other) <= 0 or max(one, other) >= full:
-            return row
-        total += one + other
-        squares += (one - other) * (one - other)
-    figures[row, 0] = total / (2 * pairs)
-    figures[row, 1] = squares / (2 * pairs) / (1.0 - 2.0 / (9.0 * pairs)) ** 3
-    return row + 1
+def noise_figures(rows, pairs, top, falling, figures):
+    """Fill figures [:, 2] (mean level, variance) from rows [n, 2 x PAIRS] of levels; returns how many there are.
 
-
-@kernel
-def noise_figures(columns, start, guard, stride, full, figures):
-    """Fill figures [:, 2] (level, variance) from the plateaus of every stride-th pixel; returns how many there are.
-
-    columns [frames, pixels], folded signal; start [pixels]: ordinal of the crossing, -1 where there is none;
-    guard: frames to each side of it that do not count. A variance is corrected so that the median over many is
-    that of the noise; a figure with a value at an end of the scale is left out.
+    pairs [n]: pairs of neighbouring frames of each row that count; their differences let slow changes cancel. A
+    variance is corrected so that the median over many is that of the noise; a row with too few pairs or with a value
+    at an end of the scale (0 or top) is left out. falling: the complement is folded, the levels are of that.
     """
-    frames, pixels = columns.shape
-    row = 0
-    for pixel in range(0, pixels, stride):
-        if row + 2 > figures.shape[0]:
-            break
-        column = columns[:, pixel]
-        dark_end = start[pixel] - guard if start[pixel] >= 0 else frames // 2
-        bright_begin = start[pixel] + guard if start[pixel] >= 0 else frames // 2
-        pairs = min(PAIRS, dark_end // 2)
-        if pairs >= LEAST_PAIRS:
-            row = _figure(column, dark_end - 2 * pairs, pairs, full, figures, row)
-        pairs = min(PAIRS, (frames - bright_begin) // 2)
-        if pairs >= LEAST_PAIRS:
-            row = _figure(column, bright_begin, pairs, full, figures, row)
-    return row
+    count = 0
+    for i in range(rows.shape[0]):
+        total, squares, inside = 0.0, 0.0, pairs[i] >= LEAST_PAIRS
+        for pair in range(pairs[i] if inside else 0):
+            one, other = float(rows[i, 2 * pair]), float(rows[i, 2 * pair + 1])
+            if min(one, other) <= 0 or max(one, other) >= top:
+                inside = False
+                break
+            total += one + other
+            squares += (one - other) * (one - other)
+        if inside:
+            level = total / (2 * pairs[i])
+            figures[count, 0] = top - level if falling else level
+            figures[count, 1] = squares / (2 * pairs[i]) / (1.0 - 2.0 / (9.0 * pairs[i])) ** 3
+            count += 1
+    return count
 
 
 def guard_frames(frames: int) -> int:
@@ -92,9 +77,8 @@ def guard_frames(frames: int) -> int:
     return min(40, max(8, frames // 8))
 
 
-def model_from(figures: Iterable[NDArray[np.float64]], full: int, fallback: NoiseModel) -> NoiseModel:
+def model_from(found: NDArray[np.float64], full: int, fallback: NoiseModel) -> NoiseModel:
     """The line through the medians of the figures [n, 2] by level; ``fallback`` where they are too few."""
-    found = np.concatenate([np.empty((0, 2)), *figures])
     if len(found) < LEAST_FIGURES:
         return fallback
     order = np.argsort(found[:, 0], kind="stable")

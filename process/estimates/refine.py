@@ -1,6 +1,7 @@
-"""Owns the estimates that look at the whole edge: reads the scan again in blocks of rows, on two cores.
+"""Owns the estimates that look at the whole edge: reads the scan again in blocks of pixels, on two cores.
 
-Promises the same result however the blocks are cut and whichever thread takes them, in bounded memory.
+Promises the same result however the blocks are cut, whichever thread takes them and whatever was estimated early,
+in bounded memory.
 """
 
 from __future__ import annotations
@@ -8,40 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from process.crossings import Edge, Maps, full_scale, quality_counts
-from process.estimates.block_kernels import count_sharp, fit_block
-from process.estimates.noise import NoiseModel, assumed_noise, guard_frames, model_from, noise_figures
+from process.crossings import Maps, full_scale, quality_counts
+from process.estimates.block_kernels import NOTHING, conclude
+from process.estimates.early import EarlyEstimates, Found, examine_pixels, follow_pixels, stretch_of
+from process.estimates.noise import NoiseModel, assumed_noise
+from process.estimates.weighing import Sequence, Watch, Weighing, grid, noise_of, sharp_width_of
 from process.quality import Quality
 
 Method: TypeAlias = Literal["linear", "probit", "fit", "auto"]
-ReadRows: TypeAlias = Callable[[int, int], NDArray[Any]]
-"""(first row, number of rows) -> original grey values [folded frames, rows, w] of those rows."""
 
-BLOCK_BYTES = 6_000_000
-"""Grey bytes of one block: small enough for the cache, large enough that the calls do not count."""
+BLOCK_PIXELS = 1024
+"""Pixels of one block: their columns fit into the cache."""
 THREADS = 2
-NOISE_BLOCKS = 12
-"""Blocks, spread over the image, that the noise is measured in."""
-SAMPLES_PER_WIDTH = 2.5631
-"""Length of the interval from 10 to 90 % of an erf edge, in widths."""
-NOISE_PIXELS = 1500
-"""Pixels at most of each of them."""
-
-
-@dataclass(frozen=True)
-class Sequence:
-    """A scan as the estimates see it."""
-
-    read_rows: ReadRows
-    present: NDArray[np.int64]
-    """Frame index of each folded frame, ascending."""
-    edge: Edge
-    bit_depth: int
+NOISE_PIXELS = 6_000
+"""Pixels with a crossing, evenly chosen, that the noise of the whole scan is measured in."""
+DARK_PIXELS = 1000
+"""Pixels of the whole image, crossing or not, that are added to them."""
 
 
 @dataclass(frozen=True)
@@ -55,123 +43,125 @@ class Refined:
     """[h, w] standard deviation of the edge in frames; NaN where nothing was fitted."""
 
 
-def refine(maps: Maps, method: Method, sequence: Sequence, noise_counts: float) -> Refined:
+def refine(
+    maps: Maps, method: Method, sequence: Sequence, noise_counts: float, early: EarlyEstimates | None = None
+) -> Refined:
     """The crossings of ``maps`` (linear or probit) estimated anew by ``method``, with sigma from the measured noise.
 
     ``probit`` only gets its sigma from that noise. ``fit`` has no crossing where the edge cannot be fitted; ``auto``
     keeps that of ``maps`` there. noise_counts: standard deviation in counts of 8 bit, for a scan too short or too
-    sparse to measure its own.
+    sparse to measure its own. early: estimates of the same frames.
 
     Raises:
         ScanFileError: the scan file was cut short.
     """
-    noise = measure_noise(maps, sequence, assumed_noise(noise_counts * 2.0 ** (sequence.bit_depth - 8)))
+    fallback = assumed_noise(noise_counts * 2.0 ** (sequence.bit_depth - 8))
+    start = starts(maps, sequence.present)
+    noise = measure_noise(start, sequence, maps.mask.shape, fallback)
     maps = _with_measured_sigma(maps, sequence, noise, noise_counts)
     width: NDArray[np.float32] = np.full(maps.mask.shape, np.nan, np.float32)
     if method in ("fit", "auto"):
-        maps = _fitted(maps, sequence, noise, width, keep=method == "auto")
+        watch = early.watch if early is not None else Watch(maps.mask.shape, fallback)
+        watch.look(sequence, len(sequence.present))
+        weighing = watch.weighing or Weighing(noise, _sharp_width(start, sequence, noise))
+        given = _Given(start, sequence, noise, weighing, early if watch.weighing else None, keep=method == "auto")
+        maps = _fitted(maps, given, width)
     return Refined(maps, noise, width)
 
 
-def _folded(sequence: Sequence, values: NDArray[Any]) -> NDArray[Any]:
-    """Original grey [frames, rows, w] as the fold sees it, [frames, pixels]."""
-    columns = values.reshape(len(values), -1)
-    return full_scale(sequence.bit_depth) - columns if sequence.edge == "falling" else columns
+def starts(maps: Maps, present: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Place among the folded frames of each pixel's first one at or above half brightness, [h * w]; -1 for none."""
+    crossing = maps.crossing.ravel()
+    found: NDArray[np.int64] = np.full(crossing.size, -1, np.int64)
+    known = np.flatnonzero(np.isfinite(crossing))
+    found[known] = np.minimum(np.searchsorted(present, crossing[known], side="left"), len(present) - 1)
+    return found
 
 
-def _blocks(maps: Maps, sequence: Sequence) -> Iterator[tuple[int, int]]:
-    """(first row, number of rows) of the blocks that hold a crossing."""
-    height, width = maps.mask.shape
-    row_bytes = len(sequence.present) * width * maps.minimum.dtype.itemsize
-    rows = max(1, min(height, BLOCK_BYTES // max(row_bytes, 1)))
-    wanted = np.asarray(np.isfinite(maps.crossing).any(axis=1))
-    for first in range(0, height, rows):
-        if wanted[first : first + rows].any():
-            yield first, min(rows, height - first)
+def measure_noise(
+    start: NDArray[np.int64], sequence: Sequence, shape: tuple[int, int], fallback: NoiseModel
+) -> NoiseModel:
+    """Noise of the folded signal from the flat stretches beside the crossings of a scan; start as in :func:`starts`."""
+    known = np.flatnonzero(start >= 0)
+    chosen = known[:: max(1, -(-len(known) // NOISE_PIXELS))]
+    pixels = np.unique(np.concatenate([chosen, grid(shape, DARK_PIXELS)]))
+    return noise_of(sequence, pixels, start[pixels], fallback)
 
 
-def _starts(crossing: NDArray[np.float64], present: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Place among the folded frames of the first one at or above half brightness; -1 without a crossing."""
-    known = np.isfinite(crossing)
-    places = np.searchsorted(present, np.where(known, crossing, 0.0), side="left")
-    return np.where(known, np.minimum(places, len(present) - 1), -1).astype(np.int64)
-
-
-def measure_noise(maps: Maps, sequence: Sequence, fallback: NoiseModel) -> NoiseModel:
-    """Noise of the folded signal from the flat stretches of blocks spread over the image."""
-    blocks = list(_blocks(maps, sequence))
-    chosen = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, NOISE_BLOCKS).astype(int))] if blocks else []
-    full = full_scale(sequence.bit_depth)
-    guard = guard_frames(len(sequence.present))
-
-    def figures(block: tuple[int, int]) -> NDArray[np.float64]:
-        rows = min(block[1], -(-NOISE_PIXELS // maps.mask.shape[1]))
-        first = block[0] + (block[1] - rows) // 2
-        columns = _folded(sequence, sequence.read_rows(first, rows))
-        start = _starts(maps.crossing[first : first + rows].ravel(), sequence.present)
-        found = np.empty((2 * NOISE_PIXELS, 2))
-        stride = max(1, columns.shape[1] // NOISE_PIXELS)
-        return found[: noise_figures(columns, start, guard, stride, full, found)]
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        return model_from(pool.map(figures, chosen), full, fallback)
-
-
-def sharp_width_of(maps: Maps, sequence: Sequence, noise: NoiseModel) -> float:
-    """Width in frames of the sharp edges of a scan, from how many samples fall into them; 0.5 where there are few."""
-    blocks = list(_blocks(maps, sequence))
-    chosen = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, NOISE_BLOCKS).astype(int))] if blocks else []
-
-    def count(block: tuple[int, int]) -> tuple[int, int]:
-        row = block[0] + block[1] // 2
-        start = _starts(maps.crossing[row], sequence.present)
-        found: tuple[int, int] = count_sharp(_folded(sequence, sequence.read_rows(row, 1)), start, noise.coefficients())
-        return found
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        within, edges = np.array([(0, 0), *pool.map(count, chosen)]).sum(axis=0)
-    return float(np.clip(within / (SAMPLES_PER_WIDTH * edges), 0.2, 1.0)) if edges >= 50 else 0.5
+def _sharp_width(start: NDArray[np.int64], sequence: Sequence, noise: NoiseModel) -> float:
+    known = np.flatnonzero(start >= 0)
+    return sharp_width_of(sequence, known, start[known], noise)
 
 
 def _with_measured_sigma(maps: Maps, sequence: Sequence, noise: NoiseModel, noise_counts: float) -> Maps:
     """Sigma of two samples scaled from the configured noise to the measured one at half brightness."""
-    half = (maps.minimum.astype(np.float64) + maps.maximum) / 2
-    if sequence.edge == "falling":
-        half = full_scale(sequence.bit_depth) - half
-    measured = np.sqrt(np.maximum(noise.floor + noise.slope * half, 1.0 / 12.0))
     configured = noise_counts * 2.0 ** (sequence.bit_depth - 8)
     if configured <= 0:
         return maps
-    return replace(maps, sigma=(maps.sigma * (measured / configured)).astype(np.float32))
-
-
-def _fitted(maps: Maps, sequence: Sequence, noise: NoiseModel, width: NDArray[np.float32], *, keep: bool) -> Maps:
-    crossing, sigma, quality = maps.crossing.copy(), maps.sigma.copy(), maps.quality.copy()
-    outputs: list[NDArray[Any]] = [crossing, sigma, quality, width]
-    lasting = _lasting_bits(maps, sequence)
-    present = sequence.present.astype(np.float64)
-    full = full_scale(sequence.bit_depth)
-    sharp_width = sharp_width_of(maps, sequence, noise)
-    low, high = maps.minimum.astype(np.float64), maps.maximum.astype(np.float64)
+    known = np.flatnonzero(np.isfinite(maps.sigma))
+    half = (maps.minimum.ravel()[known].astype(np.float64) + maps.maximum.ravel()[known]) / 2
     if sequence.edge == "falling":
-        low, high = full - high, full - low
+        half = full_scale(sequence.bit_depth) - half
+    measured = np.sqrt(np.maximum(noise.floor + noise.slope * half, 1.0 / 12.0))
+    sigma = maps.sigma.copy()
+    sigma.reshape(-1)[known] *= (measured / configured).astype(np.float32)
+    return replace(maps, sigma=sigma)
 
-    def fit(block: tuple[int, int]) -> None:
-        rows = slice(block[0], block[0] + block[1])
-        pixels = np.flatnonzero(np.isfinite(maps.crossing[rows]))
-        parts = [np.ascontiguousarray(array[rows].ravel()[pixels]) for array in outputs]
-        start = _starts(np.asarray(parts[0], np.float64), sequence.present)
-        given = [array[rows].ravel()[pixels] for array in (low, high)]
-        columns = _folded(sequence, sequence.read_rows(*block))
-        told = (noise.coefficients(), sharp_width, keep, lasting[rows].ravel()[pixels])
-        fit_block(columns, present, pixels, start, *given, *told, *parts)
-        for array, part in zip(outputs, parts, strict=True):
-            array[rows].reshape(-1)[pixels] = part
+
+_Step: TypeAlias = Callable[[NDArray[np.int64]], Found]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What the fit of a block is told beside the maps."""
+
+    start: NDArray[np.int64]
+    sequence: Sequence
+    noise: NoiseModel
+    weighing: Weighing
+    early: EarlyEstimates | None
+    keep: bool
+
+
+def _examined(given: _Given, pixels: NDArray[np.int64], extent: NDArray[np.float64]) -> Found:
+    """What the edges of pixels tell: as it is known from before and followed to the end, or examined now."""
+    start, sequence, weighing = given.start[pixels], given.sequence, given.weighing
+    found = given.early.known(pixels, start, extent) if given.early is not None else Found.none(len(pixels))
+    old, new = np.flatnonzero(found.outcome != NOTHING), np.flatnonzero(found.outcome == NOTHING)
+
+    def follow(some: NDArray[np.int64]) -> Found:
+        part = found.of(some)
+        follow_pixels(sequence, weighing, pixels[some], start[some], part)
+        return part
+
+    def examine(some: NDArray[np.int64]) -> Found:
+        return examine_pixels(sequence, weighing, pixels[some], start[some], extent[some], local=given.keep)
 
     with ThreadPoolExecutor(THREADS) as pool:
-        for _ in pool.map(fit, _blocks(maps, sequence)):
-            pass
-    if not keep:
+        for some, part in pool.map(lambda todo: (todo[1], todo[0](todo[1])), _blocks((examine, new), (follow, old))):
+            for column, values in zip(found, part, strict=True):
+                column[some] = values
+    return found
+
+
+def _blocks(*todo: tuple[_Step, NDArray[np.int64]]) -> Iterator[tuple[_Step, NDArray[np.int64]]]:
+    """Each step with its pixels, in pieces."""
+    for step, pixels in todo:
+        for begin in range(0, len(pixels), BLOCK_PIXELS):
+            yield step, pixels[begin : begin + BLOCK_PIXELS]
+
+
+def _fitted(maps: Maps, given: _Given, width: NDArray[np.float32]) -> Maps:
+    crossing, sigma, quality = maps.crossing.copy(), maps.sigma.copy(), maps.quality.copy()
+    pixels = np.flatnonzero(given.start >= 0)
+    extent = maps.maximum.ravel()[pixels].astype(np.float64) - maps.minimum.ravel()[pixels]
+    found = _examined(given, pixels, extent)
+    noises = (given.weighing.noise.coefficients(), given.noise.coefficients())
+    lasting = _lasting_bits(maps, given.sequence).ravel()
+    stretch = stretch_of(given.start[pixels], len(given.sequence.present))
+    outputs = [array.reshape(-1) for array in (crossing, sigma, quality, width)]
+    conclude(pixels, *stretch, given.sequence.times, found.outcome, found.columns, *noises, lasting, *outputs)
+    if not given.keep:
         failed = np.isfinite(crossing) & np.isnan(width)
         crossing[failed], sigma[failed] = np.nan, np.nan
     counts = maps.counts | quality_counts(maps.mask, crossing, quality) | {"fitted": int(np.isfinite(width).sum())}

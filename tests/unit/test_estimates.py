@@ -11,9 +11,11 @@ import pytest
 from process.estimates import refine as refining
 from process.estimates.bench import bench_estimates, estimated, made_edges, true_crossing
 from process.estimates.bound import crossing_bound
+from process.estimates.columns import columns_of_stack
 from process.estimates.filters import filtered
 from process.estimates.noise import NoiseModel, assumed_noise, model_from
-from process.estimates.refine import Sequence, measure_noise, refine
+from process.estimates.refine import measure_noise, refine, starts
+from process.estimates.weighing import Sequence
 from process.fold import Fold
 from process.quality import Quality
 
@@ -41,7 +43,7 @@ def folded(frames, edge="rising", indices=None):
     for index, frame in zip(indices if indices is not None else range(len(frames)), frames, strict=True):
         fold.add(int(index), frame)
     maps = fold.result(contrast=40, median=0, method="probit", noise_counts=NOISE, read_columns=None)
-    return maps, Sequence(lambda first, rows: frames[:, first : first + rows], fold.present, edge, 8)
+    return maps, Sequence(columns_of_stack(frames), fold.present, edge, 8)
 
 
 def test_the_bound_is_the_closed_form_where_the_edge_is_wide():
@@ -107,10 +109,8 @@ def test_clean_edges_are_not_flagged():
 def test_the_result_does_not_depend_on_how_the_image_is_cut(monkeypatch):
     maps, sequence = folded(made_edges(3.0, 100.0, 2.0, 2_048))
     one = refine(maps, "auto", sequence, NOISE)
-    monkeypatch.setattr(refining, "BLOCK_BYTES", 200 * 64 * 5)
+    monkeypatch.setattr(refining, "BLOCK_PIXELS", 100)
     monkeypatch.setattr(refining, "THREADS", 1)
-    monkeypatch.setattr(refining, "measure_noise", lambda *_: one.noise)
-    monkeypatch.setattr(refining, "sharp_width_of", lambda *_: 0.5)
     other = refine(maps, "auto", sequence, NOISE)
     assert np.array_equal(one.maps.crossing, other.maps.crossing)
     assert np.array_equal(one.maps.sigma, other.maps.sigma)
@@ -151,14 +151,14 @@ def test_the_noise_is_measured_from_the_frames_themselves():
     levels = edges(80.0, contrast=150.0) - edges(80.0, contrast=0.0) + 20
     frames = stored(levels + rng.normal(0, 1, levels.shape) * np.sqrt(1.0 + 0.05 * levels))
     maps, sequence = folded(frames)
-    noise = measure_noise(maps, sequence, assumed_noise(9.0))
+    noise = measure_noise(starts(maps, sequence.present), sequence, maps.mask.shape, assumed_noise(9.0))
     assert noise.measured
     assert noise.sigma_at(20.0) == pytest.approx(math.sqrt(2.0 + 1 / 12), rel=0.1)
     assert noise.sigma_at(170.0) == pytest.approx(math.sqrt(9.5 + 1 / 12), rel=0.1)
 
 
 def test_a_scan_too_sparse_to_measure_takes_the_configured_noise():
-    assert model_from([np.ones((3, 2))], 255, assumed_noise(3.0)) == NoiseModel(9.0 + 1 / 12, 0.0, measured=False)
+    assert model_from(np.ones((3, 2)), 255, assumed_noise(3.0)) == NoiseModel(9.0 + 1 / 12, 0.0, measured=False)
 
 
 def test_a_flyer_among_agreeing_neighbours_is_filtered_and_counted():
