@@ -78,7 +78,7 @@ def examine_pixels(
         return found
     first, end = stretch_of(start, len(sequence.present))
     rows = sequence.columns(pixels, first, end)
-    told = (weighing.noise.coefficients(), weighing.sharp_width, local, early)
+    told = (weighing.told(sequence), weighing.sharp_width, local, early)
     examine_rows(rows, sequence.full, sequence.times, first, end, start, extent, *told, found.outcome, found.columns)
     found.seen[:] = end
     return found
@@ -92,7 +92,7 @@ def follow_pixels(sequence: Sequence, weighing: Weighing, pixels: I8, start: I8,
         return
     first, end, outcome, columns = found.seen[some], end[some], found.outcome[some], found.columns[some]
     rows = sequence.columns(pixels[some], first, end)
-    follow_rows(rows, sequence.full, sequence.times, first, end, weighing.noise.coefficients(), outcome, columns)
+    follow_rows(rows, sequence.full, sequence.times, first, end, weighing.told(sequence), outcome, columns)
     found.columns[some], found.seen[some] = columns, end
 
 

@@ -1,7 +1,8 @@
 """Own the arithmetic of one edge: where it starts from, and the weighted fit of an erf edge with its covariance.
 
 The model of a pixel's samples is low + height Phi((t - crossing) / width), t in frames, in the folded signal,
-with the variance noise[0] + noise[1] x level. Everything is float64, in the written order.
+with the variance noise[0] + noise[1] x level; samples at noise[2] or below and at noise[3] or above are clipped, and
+say only on which side of them the light was. Everything is float64, in the written order.
 """
 
 # ruff: noqa: PLR0915 - unrolled sums: an array per sample would cost more than the arithmetic
@@ -34,6 +35,8 @@ PATIENCE = 12
 """Steps of the fit; two to four suffice where there is an edge."""
 SETTLED = 0.01
 """The last step of a fit gained less chi squared: what is left is a small part of a standard deviation."""
+BENT = 7.0
+"""Share of variance that the linearised fit misses, per squared ratio of sigma and width (found by simulation)."""
 OUTLIER = 4.0
 """Residuals beyond so many standard deviations are weighted down (Huber)."""
 
@@ -199,9 +202,21 @@ def _solve(matrix, vector, damping, lower, out):
 
 
 @inlined_kernel
-def _plateau(matrix, vector, count, mean, squares, level, lit, noise):
-    # `count` samples at one level of the model enter by their mean and sum of squares about it
-    if count == 0:
+def _is_beyond(value, level, noise):
+    # a clipped sample that the model explains: the light is where the camera cannot follow
+    return (value >= noise[3] and level > value - 0.5) or (value <= noise[2] and level < value + 0.5)
+
+
+@inlined_kernel
+def _plateau(matrix, vector, sums, level, lit, noise):
+    # samples at one level of the model enter by their mean and sum of squares about it
+    count, mean, squares = sums[0], sums[1], sums[2]
+    if sums[3] > 0.0 and not _is_beyond(sums[4], level, noise):
+        both = count + sums[3]
+        squares += count * sums[3] / both * (mean - sums[4]) ** 2
+        mean = (count * mean + sums[3] * sums[4]) / both
+        count = both
+    if count == 0.0:
         return 0.0
     variance = max(noise[0] + noise[1] * level, LEAST_VARIANCE)
     residual = (mean - level) * count / variance
@@ -224,8 +239,8 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
     width = math.exp(model[3])
     matrix[:] = 0.0
     vector[:] = 0.0
-    chi = _plateau(matrix, vector, flats[0], flats[1], flats[2], low, False, noise)
-    chi += _plateau(matrix, vector, flats[3], flats[4], flats[5], low + height, True, noise)
+    chi = _plateau(matrix, vector, flats[0], low, False, noise)
+    chi += _plateau(matrix, vector, flats[1], low + height, True, noise)
     inverse = 1.0 / width
     a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
@@ -233,6 +248,8 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
         z = (times[k] - crossing) * inverse
         share, density = normal_cdf_and_density(z)
         level = low + height * share
+        if _is_beyond(samples[k], level, noise):
+            continue
         weight = 1.0 / max(noise[0] + noise[1] * level, LEAST_VARIANCE)
         residual = samples[k] - level
         square = residual * residual * weight
@@ -276,17 +293,30 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
 
 
 @kernel
-def _flat_sums(samples, begin, end, out):
-    # number, mean, and squares about the mean of samples[begin:end]
-    count = max(end - begin, 0)
-    mean, squares = 0.0, 0.0
-    if count:
-        for k in range(begin, end):
+def _flat_sums(samples, begin, end, noise, out):
+    # number, mean, and squares about the mean of samples[begin:end]; number of clipped ones, and their level
+    count, clipped, mean, squares, level = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(begin, end):
+        if noise[2] < samples[k] < noise[3]:
+            count += 1.0
             mean += samples[k]
-        mean /= count
-        for k in range(begin, end):
+        else:
+            clipped += 1.0
+            level = samples[k]
+    mean /= max(count, 1.0)
+    for k in range(begin, end):
+        if noise[2] < samples[k] < noise[3]:
             squares += (samples[k] - mean) ** 2
-    out[0], out[1], out[2] = count, mean, squares
+    out[0], out[1], out[2], out[3], out[4] = count, mean, squares, clipped, level
+
+
+@kernel
+def _clipped(samples, bounds, noise):
+    # number of clipped samples within the bounds
+    count = 0.0
+    for k in range(bounds[0], bounds[3] + 1):
+        count += not noise[2] < samples[k] < noise[3]
+    return count
 
 
 @kernel
@@ -301,13 +331,16 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
     bounds = np.empty(5, np.int64)
     window_of(samples, guess, noise, bounds)
     model[8] = bounds[4]
-    flats = np.empty(6)
-    _flat_sums(samples, bounds[0], bounds[1], flats[:3])
-    _flat_sums(samples, bounds[2] + 1, bounds[3] + 1, flats[3:])
+    flats = np.empty((2, 5))
+    _flat_sums(samples, bounds[0], bounds[1], noise, flats[0])
+    _flat_sums(samples, bounds[2] + 1, bounds[3] + 1, noise, flats[1])
     place = int(guess[2])
     vectors = np.zeros((7, 4))
     now, tried, step, vector, new_vector = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
-    now[0], now[1] = guess[0], guess[1]
+    clipped = _clipped(samples, bounds, noise)
+    # from the level at which a plateau is clipped no step leads on
+    below, above = 0.1 * guess[1] * (flats[0, 3] > 0.0), 0.1 * guess[1] * (flats[1, 3] > 0.0)
+    now[0], now[1] = guess[0] - below, guess[1] + below + above
     if place + 1 < times.size:
         now[2] = times[place] + (guess[2] - place) * (times[place + 1] - times[place])
     else:
@@ -352,9 +385,11 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
         return False
     if abs(now[2] - prior[0]) > 4.0 * guess[3] + 3.0:
         return False
-    freedom = max(bounds[3] - bounds[0] + 1 - 4, 1)
+    freedom = max(bounds[3] - bounds[0] + 1 - clipped - 4.0, 1.0)
     model[0], model[1], model[2], model[3] = now[0], now[1], now[2], math.exp(now[3])
     model[4], model[5] = math.sqrt(step[2]), chi / freedom
+    if not sharp:  # what the curvature at the best fit does not say, where the noise is large
+        model[4] *= math.sqrt(1.0 + BENT * step[2] / (model[3] * model[3]))
     model[6] = 1.0 + 4.0 * math.sqrt(2.0 / freedom)
     model[7] = 1.0 if bounds[3] == samples.size - 1 else 0.0
     return True

@@ -15,7 +15,7 @@ from process.crossings import Maps, quality_counts
 from process.quality import Quality
 
 SIGMA_FRAMES = 1.0
-"""No crossing is filtered that is known to a frame ..."""
+"""No crossing is filtered that is known to a frame, unless the light came more than once ..."""
 SIGMA_MEDIANS = 6.0
 """... nor one that is known to so many times the median sigma of its scan."""
 RADIUS = 2
@@ -32,7 +32,7 @@ def filtered(maps: Maps) -> Maps:
     """Maps with FILTERED set by sigma and by isolation, and the counts filtered_sigma and filtered_isolated."""
     known = np.isfinite(maps.crossing)
     quality = maps.quality.copy()
-    uncertain = too_uncertain(maps.sigma, known)
+    uncertain = too_uncertain(maps.sigma, known, (quality & np.uint16(Quality.SEVERAL)) != 0)
     lonely = np.zeros(known.shape, np.bool_)
     flyers(np.where(known & ~uncertain, maps.crossing, np.nan), maps.sigma, lonely)
     quality[uncertain | lonely] |= np.uint16(Quality.FILTERED)
@@ -41,12 +41,17 @@ def filtered(maps: Maps) -> Maps:
     return replace(maps, quality=quality, counts=counts)
 
 
-def too_uncertain(sigma: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Crossings ([h, w] bool) whose sigma is beyond both limits, or not a number."""
+def too_uncertain(
+    sigma: NDArray[np.float32], known: NDArray[np.bool_], several: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Crossings ([h, w] bool) whose sigma is beyond the limits, or not a number.
+
+    several: the light came more than once; such an edge that does not look like one has no right to a frame.
+    """
     if not known.any():
         return np.zeros(known.shape, np.bool_)
-    most = max(SIGMA_FRAMES, SIGMA_MEDIANS * float(np.nanmedian(sigma[known])))
-    return known & ~(sigma <= most)
+    most = SIGMA_MEDIANS * float(np.nanmedian(sigma[known]))
+    return known & ~(sigma <= np.where(several, most, max(SIGMA_FRAMES, most)))
 
 
 @kernel

@@ -156,7 +156,7 @@ def _fitted(maps: Maps, given: _Given, width: NDArray[np.float32]) -> Maps:
     pixels = np.flatnonzero(given.start >= 0)
     extent = maps.maximum.ravel()[pixels].astype(np.float64) - maps.minimum.ravel()[pixels]
     found = _examined(given, pixels, extent)
-    noises = (given.weighing.noise.coefficients(), given.noise.coefficients())
+    noises = (given.weighing.told(given.sequence), given.noise.coefficients())
     lasting = _lasting_bits(maps, given.sequence).ravel()
     stretch = stretch_of(given.start[pixels], len(given.sequence.present))
     outputs = [array.reshape(-1) for array in (crossing, sigma, quality, width)]

@@ -39,15 +39,6 @@ USUAL_SHARP_WIDTH = 0.5
 """Frames; taken where a scan has too few sharp edges to tell."""
 
 
-class Weighing(NamedTuple):
-    """What a sweep says about all of its edges."""
-
-    noise: NoiseModel
-    """Of the folded signal, in levels of the stored depth."""
-    sharp_width: float
-    """Frames."""
-
-
 @dataclass(frozen=True)
 class Sequence:
     """A scan, or its first frames, as the estimates see it."""
@@ -67,6 +58,20 @@ class Sequence:
     def full(self) -> int:
         """Full scale where the complement is folded (falling edges), else 0."""
         return full_scale(self.bit_depth) if self.edge == "falling" else 0
+
+
+class Weighing(NamedTuple):
+    """What a sweep says about all of its edges."""
+
+    noise: NoiseModel
+    """Of the folded signal, in levels of the stored depth."""
+    sharp_width: float
+    """Frames."""
+
+    def told(self, sequence: Sequence) -> NDArray[np.float64]:
+        """[4] for the kernels: floor and slope of the variance, levels of the folded signal at which it is clipped."""
+        lowest, highest = (0.0, np.inf) if sequence.full else (-np.inf, float(full_scale(sequence.bit_depth)))
+        return np.array([self.noise.floor, self.noise.slope, lowest, highest])
 
 
 @kernel

@@ -32,8 +32,9 @@ def simulate_sweep(
     lamp: float = 1.0,
     exposure_ms: float = 30.0,
     with_truth: bool = False,
+    travel_share: float = 0.0,
 ) -> Path:
-    """A sealed scan in ``folder``; returns it."""
+    """A sealed scan in ``folder``; returns it. ``travel_share``: of a step, travelled during each exposure."""
     plan = plan or plan_of()
     width, height = size
     scene = build_scene(config, width=width, height=height, um_per_microstep=plan.um_per_microstep)
@@ -44,7 +45,14 @@ def simulate_sweep(
     with closing(_create_in(folder.absolute(), recipe)) as scan:
         for frame_index in range(plan.count):
             position = plan.position_steps(frame_index)
-            pixels = renderer.render(position, lamp=lamp, exposure_ms=exposure_ms, gain=6.0, brightness=0.0)
+            pixels = renderer.render(
+                position,
+                lamp=lamp,
+                exposure_ms=exposure_ms,
+                gain=6.0,
+                brightness=0.0,
+                travel_steps=travel_share * abs(plan.pitch_steps),
+            )
             scan.write_frame(_header(recipe, frame_index, position, pixels), pixels)
         scan.seal(Outcome.COMPLETE, "")
     if with_truth:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from process.estimates import refine as refining
-from process.estimates.bench import bench_estimates, estimated, made_edges, true_crossing
+from process.estimates.bench import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
 from process.estimates.bound import crossing_bound
 from process.estimates.columns import columns_of_stack
 from process.estimates.filters import filtered
@@ -87,6 +87,39 @@ def test_a_sweep_that_starts_within_the_edge_is_flagged(before):
 def test_a_plateau_at_full_scale_is_flagged():
     maps = estimated(stored(edges(80.0, contrast=260.0)), "auto", 40, NOISE)
     assert share_with(maps, Quality.SATURATED) == 1
+
+
+def test_a_clipped_plateau_does_not_move_the_crossing():
+    frames = stored(edges(80.3, contrast=290.0))
+    clipped, two = estimated(frames, "auto", 40, NOISE), estimated(frames, "probit", 40, NOISE)
+    assert abs(two.crossing - 80.3).mean() > 0.8, "half of what was stored is not half of the light"
+    assert abs(clipped.crossing.mean() - 80.3) < 0.1
+    assert 0.6 < np.mean(abs(clipped.crossing - 80.3) < clipped.sigma) < 0.8
+
+
+def test_a_falling_edge_is_clipped_where_the_light_still_is():
+    frames = stored(330 - edges(80.3, contrast=290.0))
+    maps, sequence = folded(frames, "falling")
+    assert abs(refine(maps, "auto", sequence, NOISE).maps.crossing.mean() - 80.3) < 0.1
+
+
+def test_sigma_is_honest_where_the_noise_is_a_sixth_of_the_contrast():
+    (case,) = bench_estimates(6_400, [3.0], [(30.0, 5.0)], ["auto"])
+    assert 0.64 <= case.within_68 <= 0.72
+
+
+CUT, WHOLE = 100.0, 160
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "contrast"),
+    [(0, 99, 120), (0, 102, 120), (0, 106, 120), (99, WHOLE, 120), (101, WHOLE, 120), (94, WHOLE, 120), (0, 104, 300)],
+)
+def test_a_cut_or_clipped_edge_is_never_silently_wrong(begin, end, contrast):
+    maps = estimated(stored(edges(CUT, contrast=contrast))[begin:end], "auto", 40, NOISE)
+    silent = np.isfinite(maps.crossing) & ((maps.quality & FLAGGED) == 0)
+    wrong = silent & (abs(maps.crossing + begin - CUT) > 5 * maps.sigma)
+    assert wrong.mean() < 0.005
 
 
 def test_light_that_comes_twice_is_flagged():
@@ -175,6 +208,14 @@ def test_a_step_of_depth_is_not_filtered():
     crossing = maps.crossing.copy()
     crossing[:, 30:] += 40
     assert filtered(replace(maps, crossing=crossing)).counts["filtered"] == 0
+
+
+def test_an_edge_in_several_steps_is_filtered_where_it_is_far_less_certain_than_the_others():
+    maps = estimated(stored(edges(80.0)), "auto", 40, NOISE)
+    sigma, quality = maps.sigma.copy(), maps.quality.copy()
+    sigma[2, 3:5], quality[2, 3] = 0.7, Quality.SEVERAL
+    found = filtered(replace(maps, sigma=sigma, quality=quality))
+    assert np.argwhere(found.quality & Quality.FILTERED).tolist() == [[2, 3]]
 
 
 def test_a_crossing_far_less_certain_than_the_others_is_filtered():
