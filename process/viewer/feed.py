@@ -12,16 +12,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zmq
+from numpy.typing import NDArray
 from zmq.utils.monitor import recv_monitor_message
 
 from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.errors import ProtocolError
 from acquire.contract.lanes import Received, open_socket, receive
-from acquire.contract.messages import Message, ResultEnd, ResultMaps, ResultProgress, ResultTiles, Status
+from acquire.contract.messages import Message, Picture, ResultEnd, ResultMaps, ResultProgress, ResultTiles, Status
 from acquire.contract.places import endpoint
 
-from .tiles import Tile, parse_tiles
+from .payloads import pixels_of, points_of
+from .tiles import Tile
 
 POLL_MS = 1000
 RECONNECT_MS = 50
@@ -31,6 +34,7 @@ MAX_BATCH = 64
 RESUBSCRIBE_NS = 1_000_000_000
 """Least time between two requests for a snapshot."""
 JOIN_TIMEOUT_S = 5.0
+_STOP, _WATCH, _LEAVE = b"x", b"w", b"l"
 _EVENTS = zmq.EVENT_CONNECTED | zmq.EVENT_DISCONNECTED
 
 
@@ -64,6 +68,10 @@ class Snapshot:
     """Messages of the results lane that went missing."""
     points_left_out: int = 0
     """Points that were not finite."""
+    picture: Picture | None = None
+    """The newest camera picture without its pixels; None before the first."""
+    picture_ns: int = 0
+    """CLOCK_MONOTONIC here when it came."""
 
 
 @dataclass
@@ -88,6 +96,8 @@ class Feed:
         self._news = TileNews()
         self._results_from = ("", 0)
         self._asked_ns = -RESUBSCRIBE_NS
+        self._watching = False
+        self._pixels: NDArray[np.uint8] | None = None
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._run, name="viewer-feed")
 
@@ -97,7 +107,7 @@ class Feed:
 
     def close(self) -> None:
         """End the thread and close its sockets."""
-        os.write(self._stop_write, b"x")
+        os.write(self._stop_write, _STOP)
         self._thread.join(JOIN_TIMEOUT_S)
         os.close(self._stop_write)
         os.close(self._stop_read)
@@ -106,6 +116,16 @@ class Feed:
         """The newest state."""
         with self._lock:
             return self._now
+
+    def watch(self, on: bool) -> None:
+        """Ask for camera pictures, or no more: the daemon makes none that nobody looks at."""
+        os.write(self._stop_write, _WATCH if on else _LEAVE)
+
+    def take_pixels(self) -> NDArray[np.uint8] | None:
+        """The newest camera picture, [h, w] or [h, w, 3] RGB, if there is one since the last call."""
+        with self._lock:
+            pixels, self._pixels = self._pixels, None
+            return pixels
 
     def take_tiles(self) -> TileNews:
         """The tiles that changed since the last call; they are the caller's now."""
@@ -118,10 +138,13 @@ class Feed:
         try:
             status, status_monitor = self._subscribe(context, "status")
             results, results_monitor = self._subscribe(context, "results")
+            preview = open_socket(context, zmq.SUB, "preview")
+            preview.connect(endpoint(self._run_dir, "preview"))
             monitors = {"status": status_monitor, "results": results_monitor}
             try:
-                self._listen(status, results, monitors)
+                self._listen((status, results, preview), monitors)
             finally:
+                preview.close(0)
                 for socket in (status, results):
                     socket.disable_monitor()
                     socket.close(0)
@@ -140,22 +163,33 @@ class Feed:
         socket.connect(endpoint(self._run_dir, lane))
         return socket, monitor
 
-    def _listen(self, status: Any, results: Any, monitors: dict[str, Any]) -> None:
+    def _listen(self, lanes: tuple[Any, Any, Any], monitors: dict[str, Any]) -> None:
         poller = zmq.Poller()
-        for source in (self._stop_read, status, results, *monitors.values()):
+        for source in (self._stop_read, *lanes, *monitors.values()):
             poller.register(source, zmq.POLLIN)
         while True:
             ready = dict(poller.poll(POLL_MS))
-            if self._stop_read in ready:
+            if self._stop_read in ready and not self._obey(lanes[2]):
                 return
             for lane, monitor in monitors.items():
                 while monitor in ready and monitor.poll(0):
                     self._on_peer(lane, recv_monitor_message(monitor)["event"] == zmq.EVENT_CONNECTED)
-            for socket in (status, results):
+            for socket in lanes:
                 if socket in ready:
                     self._drain(socket)
             if ready:
                 self._wake.set()
+
+    def _obey(self, preview: Any) -> bool:
+        """Read what other threads asked for; False to stop."""
+        asked = os.read(self._stop_read, 64)
+        if _STOP in asked:
+            return False
+        watched = asked[-1:] == _WATCH
+        if watched != self._watching:
+            self._watching = watched
+            preview.setsockopt(zmq.SUBSCRIBE if watched else zmq.UNSUBSCRIBE, b"")
+        return True
 
     def _on_peer(self, lane: str, connected: bool) -> None:
         with self._lock:
@@ -194,9 +228,15 @@ class Feed:
         if isinstance(message, ResultMaps):  # for the console; it is counted, so that its number is no gap
             with self._lock:
                 return self._count_gap(message)
+        if isinstance(message, Picture):
+            pixels = pixels_of(received, message)
+            with self._lock:
+                self._pixels = pixels
+                self._now = replace(self._now, picture=message, picture_ns=now_ns)
+            return False
         if not isinstance(message, ResultProgress | ResultTiles | ResultEnd):
             raise ProtocolError(f"a {type(message).__name__} does not belong on this lane")
-        tiles, left_out = _points(received)
+        tiles, left_out = points_of(received)
         with self._lock:
             gap = self._count_gap(message)
             self._now = replace(self._now, worker=replace(self._now.worker, heard_ns=now_ns))
@@ -237,10 +277,3 @@ class Feed:
                 cloud_folded_through=message.folded_through,
                 points_left_out=self._now.points_left_out + left_out,
             )
-
-
-def _points(received: Received) -> tuple[dict[int, Tile], int]:
-    if not isinstance(received.message, ResultTiles):
-        return {}, 0
-    payload = received.payload.buffer if received.payload is not None else b""
-    return parse_tiles(received.message, payload)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from .feed import Snapshot, TileNews
 from .framing import DEFAULT_BOUNDS, Framing
 from .look import Look
 from .markup import Picture
+from .rig_marks import RigMarks, travel_of
 from .sketch import box_edges, camera_eye, field_of_view, light_at, sheet
 from .tiles import Bounds
 from .words import RUNNING
@@ -35,6 +37,15 @@ LOOK_AGAIN_NS = 2 * NS_PER_S
 LOOKS = 5
 
 
+@dataclass(frozen=True)
+class RigShown:
+    """Which parts of the rig people want to see."""
+
+    light: bool = True
+    camera: bool = True
+    stage: bool = True
+
+
 class Scene:
     """Brings news into the picture, in turns that a browser can digest."""
 
@@ -44,6 +55,7 @@ class Scene:
         self.cloud = Cloud(look)
         self.delivery = Delivery(server, self.cloud)
         self.framing = Framing(server, clock)
+        self._marks = RigMarks(server)
         self._book = CalibrationBook(clock)
         self._field: Bounds | None = None
         self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
@@ -54,8 +66,8 @@ class Scene:
         self._box: Bounds | None = None
         self._frame: viser.LineSegmentsHandle | None = None
 
-    def show(self, snapshot: Snapshot, news: TileNews) -> None:
-        """Take what changed, and move light and floor along; the couriers carry the points."""
+    def show(self, snapshot: Snapshot, news: TileNews, image: NDArray[np.uint8] | None, shown: RigShown) -> None:
+        """Take what changed, and move light, floor, camera and stage along; the couriers carry the points."""
         self.cloud.take(news)
         calibration = self._book.of(snapshot.status)
         self.eye_mm = camera_eye(calibration.camera) if calibration is not None else None
@@ -63,7 +75,22 @@ class Scene:
         bounds = self._stage_set(snapshot.status)
         self.framing.follow(bounds)
         self._show_floor(bounds or DEFAULT_BOUNDS)
-        self._show_light(snapshot, calibration, bounds or DEFAULT_BOUNDS)
+        self._show_light(snapshot, calibration if shown.light else None, bounds or DEFAULT_BOUNDS)
+        self._show_rig(snapshot, calibration, image, shown)
+
+    def _show_rig(
+        self, snapshot: Snapshot, calibration: Calibration | None, image: NDArray[np.uint8] | None, shown: RigShown
+    ) -> None:
+        """The rig stands about the camera's field, which does not change while the cloud grows."""
+        around, status = self._field or DEFAULT_BOUNDS, snapshot.status
+        camera = calibration.camera if calibration is not None and shown.camera else None
+        self._marks.show_camera(camera, around, image)
+        travel = None
+        if calibration is not None and status is not None and shown.stage:
+            travel = travel_of(calibration, status, around)
+        old = "" if snapshot.daemon.connected else " (old)"
+        label = f"stage {status.position_um:,.1f} µm{old}" if status is not None else ""
+        self._marks.show_travel(travel, around, label)
 
     def _stage_set(self, status: Status | None) -> Bounds | None:
         """What to look at: the camera's whole field while the cloud grows in it, afterwards the cloud."""

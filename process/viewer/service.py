@@ -17,6 +17,7 @@ from acquire.contract.logs import is_journal
 from acquire.contract.notify import Notifier
 from acquire.contract.places import lock_service, prepare_run_dir
 
+from .camera_panel import CameraPanel
 from .commands import CommandLine
 from .door import Page, close_page, listen, open_page
 from .feed import Feed
@@ -24,7 +25,7 @@ from .guard import Gate
 from .look import Look
 from .measuring import Measuring
 from .panel import Controls, Panel
-from .scene import Scene
+from .scene import RigShown, Scene
 from .view_panel import ViewPanel
 
 TURN_S = 0.04
@@ -81,6 +82,8 @@ class Viewer:
         self._controls: Controls | None = None
         self._view: ViewPanel | None = None
         self._measuring: Measuring | None = None
+        self._camera: CameraPanel | None = None
+        self._watching = False
         self._panel = Panel(self._page, view_only=view_only)
         self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
         tabs = None if view_only else self._page.gui.add_tab_group()
@@ -91,6 +94,8 @@ class Viewer:
         if tabs is not None:
             with tabs.add_tab("View"):
                 self._view = ViewPanel(self._page, self._scene.framing, settings.max_points)
+            with tabs.add_tab("Camera"):
+                self._camera = CameraPanel(self._page)
             with tabs.add_tab("Measure"):
                 self._measuring = Measuring(self._page, self._scene.cloud, wake.set)
         self._feed = Feed(run_dir, wake, self._clock)
@@ -126,7 +131,12 @@ class Viewer:
         snapshot = self._feed.snapshot()
         if now_ns - self._pictured_ns >= PICTURE_NS:
             self._pictured_ns = now_ns
-            self._scene.show(snapshot, self._feed.take_tiles())
+            pixels = self._feed.take_pixels()
+            shown = self._camera.shown if self._camera is not None else RigShown()
+            self._scene.show(snapshot, self._feed.take_tiles(), pixels, shown)
+            if self._camera is not None:
+                self._camera.show(snapshot, now_ns, pixels)
+            self._watch(bool(self._page.get_clients()))
             if self._view is not None:
                 self._view.show(self._scene.cloud)
         if self._view is not None:
@@ -138,6 +148,12 @@ class Viewer:
         self._panel.show(snapshot, now_ns, self._scene.picture)
         if self._controls is not None:
             self._controls.show(snapshot, now_ns)
+
+    def _watch(self, wanted: bool) -> None:
+        """Camera pictures only while somebody looks at the page."""
+        if wanted != self._watching:
+            self._watching = wanted
+            self._feed.watch(wanted)
 
 
 def address(gate: Gate, port: int) -> str:

@@ -15,6 +15,7 @@ import zmq
 from acquire.contract.lanes import Sender, bind, receive
 from acquire.contract.messages import (
     Command,
+    Picture,
     Reply,
     ResultEnd,
     ResultProgress,
@@ -82,6 +83,8 @@ class FakeRig:
         self.commanded = threading.Event()
         self.subscribed = threading.Event()
         """Set once somebody listens to the results: what is published before that reaches nobody."""
+        self.watched = threading.Event()
+        """Set once somebody looks at the camera's pictures."""
         self.snapshots_sent = 0
         self._thread = threading.Thread(target=self._run, name="fake-rig")
         self._ready = threading.Event()
@@ -108,6 +111,11 @@ class FakeRig:
     def set_status(self, **fields: Any) -> None:
         self.status = Status(**fields)
         self.publish(self.status)
+
+    def publish_picture(self, pixels: Any, **fields: Any) -> None:
+        """One camera picture, [h, w] or [h, w, 3] uint8."""
+        shape = list(pixels.shape)
+        self.publish(Picture(shape=shape, source_shape=shape[:2], **fields), pixels.tobytes())
 
     def publish_tiles(
         self, tiles: list[Any], *, folded_through: int, scan_uid: str = SCAN_UID, message: str = "", skip_seq: int = 0
@@ -148,11 +156,13 @@ class FakeRig:
     def _serve(self, context: Any) -> None:
         poller = zmq.Poller()
         poller.register(self._read, zmq.POLLIN)
-        status = commands = results = None
+        status = commands = results = preview = None
         if self.daemon:
             status = self._bind(context, zmq.PUB, "status")
             commands = self._bind(context, zmq.ROUTER, "command")
             poller.register(commands.socket, zmq.POLLIN)
+            preview = self._bind(context, zmq.XPUB, "preview")
+            poller.register(preview.socket, zmq.POLLIN)
         if self.worker:
             results = self._bind(context, zmq.XPUB, "results")
             results.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
@@ -169,8 +179,10 @@ class FakeRig:
                 self.subscribed.set()
             if commands is not None and commands.socket in ready:
                 self._answer(commands)
+            if preview is not None and preview.socket in ready and preview.socket.recv() == b"\x01":
+                self.watched.set()
             for message, payload in self._waiting():
-                lane = status if isinstance(message, Status) else results
+                lane = {Status: status, Picture: preview}.get(type(message), results)
                 if isinstance(message, tuple):
                     results.seq += message[1]
                 elif lane is not None:
