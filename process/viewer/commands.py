@@ -28,6 +28,8 @@ from acquire.contract.units import NS_PER_S
 QUEUE_LENGTH = 16
 STALE_NS = 500_000_000
 """A click that waited longer (this process was frozen) is not sent, unless it is a stop."""
+BEAT_STALE_NS = 250_000_000
+"""Beats bunch up on a jittery tunnel; a late one must not move the stage on."""
 CONNECTING_NS = 300_000_000
 """A click is tried again for so long: the lanes of a daemon that has just started connect one after the other."""
 POLL_MS = 200
@@ -50,12 +52,19 @@ class _Click:
     name: str
     args: dict[str, Any]
     at_ns: int
+    client: str = ""
+
+    @property
+    def beat(self) -> bool:
+        """One of many that follow each other: nothing is said of it unless it is refused, and a late one is dropped."""
+        return self.name == "jog_hold" or self.args.get("action") == "renew"
 
 
 @dataclass(frozen=True)
 class _Pending:
     name: str
     deadline_ns: int
+    beat: bool = False
 
 
 @dataclass
@@ -74,6 +83,8 @@ class CommandLine:
         self._pending: dict[str, _Pending] = {}
         self._note = Note()
         self._closing = False
+        self.beats_dropped = 0
+        """Beats that came too late and were not sent."""
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
         self._thread = threading.Thread(target=self._run, name="viewer-commands")
@@ -95,10 +106,10 @@ class CommandLine:
         """What became of the last click."""
         return self._note
 
-    def submit(self, name: str, args: dict[str, Any] | None = None) -> bool:
-        """Queue one request; False (with a note) if the queue is full."""
+    def submit(self, name: str, args: dict[str, Any] | None = None, *, client: str = "") -> bool:
+        """Queue one request in the name of ``client``; False (with a note) if the queue is full."""
         try:
-            self._queue.put_nowait(_Click(name, args or {}, self.clock.now_ns()))
+            self._queue.put_nowait(_Click(name, args or {}, self.clock.now_ns(), client))
         except queue.Full:
             self._say(f"{name} was not sent: too many requests are waiting; try again", ok=False)
             return False
@@ -147,22 +158,31 @@ class CommandLine:
 
     def _settled(self, click: _Click, sender: Sender) -> bool:
         """Send one click; False if it should be tried again, because a daemon may be just connecting."""
-        if click.name != "stop" and any(waiting.name == click.name for waiting in self._pending.values()):
-            return True  # a second click while the first is on its way
+        if click.name != "stop" and not click.beat and self._on_its_way(click.name):
+            return True
         now_ns = self.clock.now_ns()
-        too_old = now_ns - click.at_ns > STALE_NS
+        too_old = now_ns - click.at_ns > (BEAT_STALE_NS if click.beat else STALE_NS)
         request_id = uuid.uuid4().hex
+        if too_old and click.beat:
+            self.beats_dropped += 1
+            return True
         if too_old and click.name != "stop":
             self._say(f"{click.name} was not sent in time; nothing has moved", ok=False)
             return True
-        if sender.send(Command(request_id=request_id, name=click.name, args=click.args)):
-            self._pending[request_id] = _Pending(click.name, now_ns + round(self.timeout_s * NS_PER_S))
-            self._say(f"{click.name} ...", ok=True)
+        command = Command(request_id=request_id, name=click.name, args=click.args, client=click.client)
+        if sender.send(command):
+            self._pending[request_id] = _Pending(click.name, now_ns + round(self.timeout_s * NS_PER_S), click.beat)
+            if not click.beat:
+                self._say(f"{click.name} ...", ok=True)
             return True
         if now_ns - click.at_ns > CONNECTING_NS:
             self._say(f"{click.name} was not sent: no rig daemon answers; start it with 'sweepscope up'", ok=False)
             return True
         return False
+
+    def _on_its_way(self, name: str) -> bool:
+        """A second click while the first waits for its reply is no new request."""
+        return any(waiting.name == name and not waiting.beat for waiting in self._pending.values())
 
     def _take_reply(self, socket: Any) -> None:
         try:
@@ -173,6 +193,8 @@ class CommandLine:
             return
         waiting = self._pending.pop(received.message.request_id, None)
         if waiting is None:
+            return
+        if received.message.ok and waiting.beat:
             return
         if received.message.ok:
             self._say(f"{waiting.name}: done", ok=True)

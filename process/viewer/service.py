@@ -24,7 +24,8 @@ from .feed import Feed
 from .guard import Gate
 from .look import Look
 from .measuring import Measuring
-from .panel import Controls, Panel
+from .panel import Panel
+from .rig_panel import RigPanel
 from .scene import RigShown, Scene
 from .view_panel import ViewPanel
 
@@ -79,17 +80,19 @@ class Viewer:
         self._page: Page = open_page(self._gate, listener, max_bytes_per_s=settings.max_bytes_per_s)
         self.url = address(self._gate, self._page.get_port())
         view_only = self._gate.view_only
-        self._controls: Controls | None = None
+        self._controls: RigPanel | None = None
         self._view: ViewPanel | None = None
         self._measuring: Measuring | None = None
         self._camera: CameraPanel | None = None
         self._watching = False
         self._panel = Panel(self._page, view_only=view_only)
         self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
+        if self._commands is not None:
+            self._controls = RigPanel(self._page, self._commands)
         tabs = None if view_only else self._page.gui.add_tab_group()
-        if tabs is not None and self._commands is not None:
+        if tabs is not None and self._controls is not None:
             with tabs.add_tab("Rig"):
-                self._controls = Controls(self._page, self._commands)
+                self._controls.fill()
         self._scene = Scene(self._page, Look(max_points=settings.max_points), self._clock)
         if tabs is not None:
             with tabs.add_tab("View"):

@@ -155,9 +155,13 @@ def saved_line(status: Status) -> str:
 def allowed(status: Status | None, *, live: bool) -> dict[str, bool]:
     """Which commands make sense now. ``stop`` always does."""
     state = status.state if status is not None and live else ""
+    at_rest = state in (State.IDLE, State.PREVIEW)
     return {
-        "scan": state == State.IDLE,
+        "scan": at_rest,
         "pause": state == State.SWEEPING,
         "resume": state == State.HOLDING,
         "stop": True,
+        "jog": at_rest or state == State.MOVING,
+        "goto": at_rest,
+        "home": at_rest,
     }

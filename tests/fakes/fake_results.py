@@ -85,6 +85,7 @@ class FakeRig:
         """Set once somebody listens to the results: what is published before that reaches nobody."""
         self.watched = threading.Event()
         """Set once somebody looks at the camera's pictures."""
+        self.unwatched = threading.Event()
         self.snapshots_sent = 0
         self._thread = threading.Thread(target=self._run, name="fake-rig")
         self._ready = threading.Event()
@@ -179,8 +180,8 @@ class FakeRig:
                 self.subscribed.set()
             if commands is not None and commands.socket in ready:
                 self._answer(commands)
-            if preview is not None and preview.socket in ready and preview.socket.recv() == b"\x01":
-                self.watched.set()
+            if preview is not None and preview.socket in ready:
+                (self.watched if preview.socket.recv() == b"\x01" else self.unwatched).set()
             for message, payload in self._waiting():
                 lane = {Status: status, Picture: preview}.get(type(message), results)
                 if isinstance(message, tuple):

@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from acquire.contract.messages import ResultTiles, Status
-from process.viewer.commands import CommandLine
+from acquire.contract.messages import Picture, ResultTiles, Status
+from process.viewer.commands import BEAT_STALE_NS, CommandLine, _Click
 from process.viewer.feed import Feed, Snapshot
 from tests.fakes.fake_results import SCAN_UID, FakeRig, hill_tiles
 
@@ -193,6 +194,52 @@ def test_a_second_click_while_the_first_is_on_its_way_is_not_sent_but_a_second_s
             commands.submit(name)
         note_of(commands, "no answer")
         assert [command.name for command in rig.commands] == ["scan", "stop", "stop"]
+
+
+def test_a_late_beat_of_a_held_jog_is_dropped_so_that_bunched_ones_do_not_move_the_stage_on(
+    commands: CommandLine, run_dir: Path
+) -> None:
+    with FakeRig(run_dir) as rig:
+        commands.submit("status")
+        note_of(commands, "status: done")
+        late_ns = commands.clock.now_ns() - BEAT_STALE_NS - 1
+        commands._queue.put(_Click("jog_hold", {"direction": 1}, late_ns, "browser 1"))
+        commands.submit("jog_hold", {"direction": -1}, client="browser 1")
+        commands.submit("pause")
+        note_of(commands, "pause: done")
+        sent = [(command.name, command.args, command.client) for command in rig.commands[1:]]
+        assert sent == [("jog_hold", {"direction": -1}, "browser 1"), ("pause", {}, "")]
+        assert commands.beats_dropped == 1
+
+
+def test_a_refused_beat_is_said(commands: CommandLine, run_dir: Path) -> None:
+    with FakeRig(run_dir, refuse="anna holds control"):
+        commands.submit("jog_hold", {"direction": 1})
+        note_of(commands, "jog_hold was refused: anna holds control")
+
+
+def test_camera_pictures_come_only_while_somebody_looks(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+    with FakeRig(run_dir) as rig:
+        feed.watch(True)
+        assert rig.watched.wait(DEADLINE_S)
+        rig.publish_picture(np.arange(12, dtype=np.uint8).reshape(3, 4), frame_index=8)
+        now = until(feed, wake, lambda now: now.picture is not None)
+        assert now.picture is not None
+        assert now.picture.frame_index == 8
+        pixels = feed.take_pixels()
+        assert pixels is not None
+        assert pixels[2].tolist() == [8, 9, 10, 11]
+        assert feed.take_pixels() is None
+        feed.watch(False)
+        assert rig.unwatched.wait(DEADLINE_S)
+
+
+def test_a_picture_with_fewer_pixels_than_it_says_is_dropped(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+    with FakeRig(run_dir) as rig:
+        feed.watch(True)
+        assert rig.watched.wait(DEADLINE_S)
+        rig.publish(Picture(shape=[3, 4], source_shape=[3, 4]), b"short")
+        assert until(feed, wake, lambda now: now.messages_dropped > 0).picture is None
 
 
 def test_a_status_is_taken_even_if_it_is_the_only_thing_there(feed: Feed, wake: threading.Event, run_dir: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from types import SimpleNamespace
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 
 from acquire.contract.calibration import Calibration, parse_calibration
+from acquire.contract.messages import Status
 from acquire.contract.plan import SweepPlan
 from process.viewer.framing import ECHO_NS, Framing, Pose, overview
+from process.viewer.rig_marks import travel_of
 from process.viewer.scene import nice_length_mm
-from process.viewer.sketch import field_of_view, light_at, sheet
+from process.viewer.sketch import box_edges, field_of_view, light_at, sheet
 from process.viewer.tiles import Bounds
 
 BOX = Bounds((-5.0, -4.0, 0.0), (5.0, 4.0, 3.0))
@@ -93,6 +96,53 @@ def test_a_camera_that_a_person_moved_is_not_followed_any_more_and_an_echo_is_no
     assert viewer.follows, "standing where it was put is not moving"
     framing._moved(7, elsewhere)
     assert not viewer.follows
+
+
+def test_a_named_view_is_taken_by_the_browser_that_asks_and_kept_while_the_cloud_grows() -> None:
+    page = page_without_browsers()
+    asks, other = browser(1), browser(2)
+    page.get_clients = lambda: {1: asks, 2: other}
+    framing = Framing(page, Still())
+    framing.fit(asks, "Top")
+    framing.follow(Bounds((-50.0, -40.0, 0.0), (50.0, 40.0, 3.0)))
+    eye = np.asarray(asks.camera.position) - asks.camera.look_at
+    assert eye[2] / np.linalg.norm(eye) > 0.999
+    assert not hasattr(other.camera, "position")
+    with pytest.raises(KeyError):
+        framing.fit(asks, "Behind")
+
+
+def browser(client_id: int) -> Any:
+    return SimpleNamespace(client_id=client_id, camera=SimpleNamespace(), atomic=contextlib.nullcontext)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "velocity"), [("position_um", [0.001, 0.0, 0.0]), ("frame", [0.009525, 0.0, 0.0])]
+)
+def test_the_travel_of_the_stage_is_drawn_to_scale_beside_the_field(parameter: str, velocity: list[float]) -> None:
+    known = calibration(TRANSLATING | {"parameter": parameter, "corner_velocity_mm": velocity})
+    status = Status(state="sweeping", position_steps=150, position_um=150 * 3.175, travel_steps=(0, 300), plan=PLAN)
+    found = travel_of(known, status, BOX)
+    assert found is not None
+    assert found.limits[1, 0] - found.limits[0, 0] == pytest.approx(300 * 3.175e-3)
+    assert (found.now[0] - found.limits[0, 0]) == pytest.approx(150 * 3.175e-3)
+    assert found.sweep == pytest.approx(found.limits)
+    assert found.now[1] < BOX.low[1]
+
+
+def test_without_a_plane_that_moves_the_travel_is_not_drawn() -> None:
+    table = {"kind": "per-frame", "parameter": "frame", "first_frame": 1, "planes": [[1, 0, 0, 0], [1, 0, 0, 2]]}
+    assert travel_of(calibration(table), Status(state="idle"), BOX) is None
+    upward = calibration(
+        TRANSLATING | {"parameter": "position_um", "normal": [0, 0, 1], "corner_velocity_mm": [0, 0, 1]}
+    )
+    assert travel_of(upward, Status(state="idle", position_steps=1, position_um=3.0), BOX) is None
+
+
+def test_the_edges_of_a_box_are_twelve() -> None:
+    edges = box_edges(BOX)
+    assert edges.shape == (12, 2, 3)
+    assert sorted(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).tolist()) == [3.0] * 4 + [8.0] * 4 + [10.0] * 4
 
 
 def _viewer(framing: Framing, clock: Still) -> Any:
