@@ -24,12 +24,15 @@ FRAMES_BYTES: Final = 600_000_000
 _SERVICES: Final = ("writer", "worker")
 
 
-def bench_pipeline(frames: int = 527, shape: tuple[int, int] = (768, 1024)) -> dict[str, Any]:
+def bench_pipeline(
+    frames: int = 527, shape: tuple[int, int] = (768, 1024), *, pictures: bool = False
+) -> dict[str, Any]:
     """Push one sweep through a writer and a worker as fast as they take it.
 
     Args:
         frames: length of the sweep, at least 2.
         shape: (height, width) of its 8-bit frames.
+        pictures: somebody looks at the preview lane meanwhile, as a console does.
 
     Returns:
         frames per second until all are committed and folded, as ``ratio`` to memcpy over the same frames in the same
@@ -42,12 +45,14 @@ def bench_pipeline(frames: int = 527, shape: tuple[int, int] = (768, 1024)) -> d
     copy_ns = _memcpy_ns(ring)
     with _place() as place, _services(place, shape) as pids:
         context: zmq.Context[Any] = zmq.Context()
-        publisher = Publisher(context, place, ring, frames, pids)
+        publisher = Publisher(context, place, ring, frames, pids, pictures=pictures)
         try:
             marks = publisher.run()
         finally:
             context.destroy(linger=0)
-    return _figures(marks, frames, shape, copy_ns)
+    made = publisher.preview.counters["pictures"]
+    shown = {"pictures": made, "picture_ms": publisher.preview.spent_ns / 1e6 / made} if made else {}
+    return _figures(marks, frames, shape, copy_ns) | shown
 
 
 def make_sweep(shape: tuple[int, int], frames: int) -> NDArray[np.uint8]:

@@ -26,6 +26,7 @@ from acquire.contract.units import NS_PER_S
 
 from .events import Sealed
 from .frame_lane import FrameLane
+from .preview_lane import MOST_IN_A_SWEEP_HZ, PreviewLane, View
 from .window import slots_for
 
 READY_S: Final = 90.0
@@ -56,9 +57,19 @@ class Publisher:
     """Sends a sweep, every frame as soon as there is credit. One thread calls everything."""
 
     def __init__(
-        self, context: zmq.Context[Any], place: Path, ring: NDArray[np.uint8], frames: int, pids: dict[str, int]
+        self,
+        context: zmq.Context[Any],
+        place: Path,
+        ring: NDArray[np.uint8],
+        frames: int,
+        pids: dict[str, int],
+        *,
+        pictures: bool = False,
     ) -> None:
+        """``pictures``: the newest frame is shown to a subscriber as often as in a sweep."""
         self._ring, self._frames = ring, frames
+        self.preview = PreviewLane(bind(context, zmq.XPUB, place, "preview"))
+        self._looks = connect(context, zmq.SUB, place, "preview") if pictures else None
         self._pids = {"publisher": os.getpid(), **pids}
         self._lane = FrameLane(bind(context, zmq.ROUTER, place, "frames"))
         self._live = Sender(bind(context, zmq.PUB, place, "live"))
@@ -144,6 +155,7 @@ class Publisher:
         )
         self._lane.offer(image, pixels)
         self.marks.live_unsent += not self._live.send(image, pixels)
+        self.preview.keep(View(pixels, image.position_steps, image.position_um, 0.0, frame_index))
 
     def _until(self, fact: Callable[[], bool], deadline_s: float, what: str) -> None:
         end_ns = _now_ns() + round(deadline_s * NS_PER_S)
@@ -159,6 +171,10 @@ class Publisher:
         for event in self._lane.poll(now_ns):
             if isinstance(event, Sealed):
                 self.marks.end_ack, self.marks.sealed_ns = event.end_ack, now_ns
+        self.preview.poll()
+        self.preview.flush(now_ns, self._start.format, MOST_IN_A_SWEEP_HZ)
+        if self._looks is not None:
+            receive(self._looks)
         while (received := receive(self._results)) is not None:
             self._take_result(received.message, now_ns)
         if now_ns >= self._status_ns:

@@ -13,8 +13,8 @@ from acquire.contract.messages import FrameFormat
 
 WIDEST_PX: Final = 512
 """A picture for people is at most so wide."""
-_AREA_PX: Final = 2048
-"""Frames wider than this are thinned before they are averaged: a large frame must not cost more than it shows."""
+_MOST_AVERAGED: Final = 4
+"""Frames that must shrink more than this are thinned before: a large one must not cost more than it shows."""
 _SAMPLES: Final = 200_000
 """Pixels that the statistics look at, about; whole rows, evenly spread."""
 _BAYER: Final = {"bayer_rggb": "rggb", "bayer_bggr": "bggr", "bayer_grbg": "grbg", "bayer_gbrg": "gbrg"}
@@ -54,17 +54,20 @@ def measure(pixels: NDArray[Any], bit_depth: int) -> Brightness:
 
 
 def reduce(pixels: NDArray[Any], frame_format: FrameFormat) -> NDArray[np.uint8]:
-    """The frame as uint8 [h, w] or [h, w, 3] RGB, averaged by area to at most ``WIDEST_PX`` wide; a copy."""
+    """The frame as uint8 [h, w] or [h, w, 3] RGB, averaged by area to at most ``WIDEST_PX`` wide; a copy.
+
+    It shrinks by a whole number, which is quick; fewer rows and columns than that number are left out at the far edges.
+    """
     colours = _BAYER.get(frame_format.pixel_format)
     if colours is not None:
         pixels = _quarter(pixels, colours)
-    thin = pixels.shape[1] // _AREA_PX
-    if thin > 1:
+    shrink = -(-pixels.shape[1] // WIDEST_PX)
+    if shrink > _MOST_AVERAGED:
+        thin, shrink = -(-shrink // 2), 2
         pixels = np.ascontiguousarray(pixels[::thin, ::thin])
-    height, width = pixels.shape[:2]
-    wide = min(width, WIDEST_PX)
-    size = wide, max(1, round(height * wide / width))
-    small: NDArray[Any] = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    size = max(1, pixels.shape[1] // shrink), max(1, pixels.shape[0] // shrink)
+    whole = np.ascontiguousarray(pixels[: size[1] * shrink, : size[0] * shrink])
+    small: NDArray[Any] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
     if small.dtype != np.uint8:
         small = small >> (frame_format.bit_depth - 8)
     return small.astype(np.uint8, copy=False)

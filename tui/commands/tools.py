@@ -62,12 +62,13 @@ def fold(frames: int, size: tuple[int, int], as_json: bool) -> None:
 @bench.command()
 @_frames
 @_pixels
+@click.option("--pictures", is_flag=True, help="Show pictures to a subscriber meanwhile, as a console asks for them.")
 @json_option
-def pipeline(frames: int, size: tuple[int, int], as_json: bool) -> None:
+def pipeline(frames: int, size: tuple[int, int], pictures: bool, as_json: bool) -> None:
     """Push a synthetic sweep through real writer and worker processes."""
     from acquire.bench_pipeline import bench_pipeline
 
-    _show(bench_pipeline(frames, (size[1], size[0])), as_json)
+    _show(bench_pipeline(frames, (size[1], size[0]), pictures=pictures), as_json)
 
 
 @bench.command()
