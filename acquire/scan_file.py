@@ -152,6 +152,8 @@ class ScanFile(ScanStore):
                 return self._compare(image, prefix, index)
             if self.sealed:
                 raise FrameRefusedError("immutable", f"{_name(image)}: the scan is sealed as {self.outcome}")
+            if self._get_text("outcome") in SEALED_OUTCOMES:
+                raise FrameRefusedError("immutable", f"{_name(image)}: somebody else has closed the scan meanwhile")
             if again:
                 # each resume takes it anew: torn by a crash it must not look whole
                 self._put(f"{prefix}status", index, FrameStatus.MISSING)
@@ -220,6 +222,7 @@ class ScanFile(ScanStore):
     def _dirty_again(self, first: int) -> None:
         """Write again what a failed sync may have lost; committed frames never change, so nothing can be undone."""
         self.check_frames(first)
+        self.check_records(first)
         for frame_index in np.flatnonzero(self._usable()[first:]) + first:
             self._put_again(int(frame_index))
 
@@ -249,6 +252,7 @@ class ScanFile(ScanStore):
             raise ScanFileError(f"a scan that is {outcome} stays partial")
         if self.sealed:
             return self._sealed_before(outcome)
+        self._refuse_if_replaced()
         self.check_frames()
         missing = self.missing_ranges()
         if outcome == Outcome.COMPLETE and missing:
@@ -260,6 +264,12 @@ class ScanFile(ScanStore):
         self._rename()
         self._reread(seal)
         return seal
+
+    def _refuse_if_replaced(self) -> None:
+        """What is not at its place any more belongs to whoever has moved it: its end is not ours to write."""
+        with self._disk("seal"):
+            if not self.path.exists() or not os.path.samestat(self.path.stat(), os.fstat(self._fd)):
+                raise OSError(errno.ENOENT, "it was moved, deleted, or closed by somebody else meanwhile")
 
     def _sealed_before(self, outcome: Outcome) -> Seal:
         if self.outcome != outcome:

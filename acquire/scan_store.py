@@ -154,12 +154,18 @@ class ScanStore:
         raw = os.pread(self._fd, place.dtype.itemsize, place.offset + index * place.dtype.itemsize)
         return int(struct.unpack(_PACK[place.dtype.str], raw)[0])
 
+    def _get_text(self, region: str) -> str:
+        place = self.layout.regions[region]
+        return os.pread(self._fd, place.nbytes, place.offset).rstrip(b"\0").decode("utf-8", "replace")
+
     def _get_pixels(self, frame_index: int) -> bytes:
         return os.pread(self._fd, self.layout.frame_nbytes, self.layout.frame_offset(frame_index))
 
     def _put_again(self, frame_index: int) -> None:
         self._put_pixels("data", frame_index, memoryview(self._get_pixels(frame_index)))
-        for name in FRAME_FIELDS:
+        # what is known here is not asked of a disk that has just failed: the status was acked
+        self._put("status", frame_index, int(self._status[frame_index]))
+        for name in (field for field in FRAME_FIELDS if field != "status"):
             place = self.layout.regions[name]
             offset = place.offset + frame_index * place.dtype.itemsize
             write_at(self._fd, os.pread(self._fd, place.dtype.itemsize, offset), offset)

@@ -22,6 +22,7 @@ from acquire.disk import DiskError, DiskFullError
 from acquire.scan_create import creating_path
 from acquire.scan_file import ScanExistsError, ScanFile, ScanIncompleteError, create_scan
 from acquire.scan_store import FrameRefusedError
+from acquire.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 6
@@ -217,6 +218,22 @@ def test_a_frame_that_another_process_committed_meanwhile_is_not_overwritten(sta
     successor.close()
 
 
+def test_a_scan_that_somebody_else_closed_meanwhile_takes_no_frame_and_no_other_end(
+    start: Start, scan: ScanFile
+) -> None:
+    """A writer that was frozen wakes up after its scan was closed by hand."""
+    write(scan, start, 0)
+    successor = ScanFile.open_existing(scan.path)
+    successor.seal(Outcome.ABORTED, "closed by hand")
+    successor.close()
+    with pytest.raises(FrameRefusedError, match="closed the scan meanwhile"):
+        write(scan, start, 1)
+    with pytest.raises(DiskError, match="somebody else"):
+        scan.seal(Outcome.STOPPED)
+    report = verify(Path(start.path))
+    assert report.ok and (report.outcome, report.committed) == ("aborted", 1)
+
+
 def test_a_frame_of_a_later_attempt_is_marked_as_retaken(scan: ScanFile, start: Start) -> None:
     write(scan, start, 4, attempt=2)
     with ScanReader(scan.path) as reader:
@@ -308,6 +325,26 @@ def test_a_sync_that_fails_does_not_count_and_is_made_good_by_the_next(
     monkeypatch.setattr(os, "pwrite", lambda fd, data, offset: (written.append(offset), real(fd, data, offset))[1])
     assert scan.sync() == COUNT
     assert {scan.layout.frame_offset(frame_index) for frame_index in range(COUNT)} <= set(written)
+
+
+def test_what_a_failed_sync_took_of_the_commit_records_is_put_back(
+    scan: ScanFile, start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    fill(scan, start)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fdatasync", fails)
+        with pytest.raises(DiskError):
+            scan.sync()
+    status = scan.layout.regions["status"]
+    with scan.path.open("r+b") as file:
+        file.seek(status.offset)
+        file.write(bytes(COUNT))  # the kernel gave the page up and reads the disk again
+    assert scan.sync() == COUNT
+    with ScanReader(scan.path) as reader:
+        assert reader.present().all()
 
 
 # ---- coming back ----
