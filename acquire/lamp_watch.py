@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 LAG_FRAMES: Final = 4
 """A frame is compared with the one so many frames before it: a lamp that fades over some frames is seen as well."""
+LARGEST_GAP_FRAMES: Final = 8
+"""Frames that may be left out (lost, taken later); beyond that too much of the light's edge has moved."""
 BRIGHT: Final = 0.2
 """Share of full scale above which a pixel counts as lit."""
 DARK: Final = 0.12
@@ -47,7 +49,9 @@ class LampWatch:
             the first frame in another light and what changed, in words; None when all is well. Two frames in a row
             must show it. Whoever goes on calls :meth:`forget`.
         """
-        if frame_index != self._next_index:
+        if self._earlier and not 0 <= frame_index - self._next_index <= LARGEST_GAP_FRAMES:
+            if 0 <= self._next_index - frame_index <= LAG_FRAMES:
+                return None  # taken again: the frames after it were looked at already
             self.forget()
         self._next_index = frame_index + 1
         seen = _sample(pixels) / np.float32(self.full_scale)

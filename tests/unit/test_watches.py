@@ -56,6 +56,28 @@ def test_a_gap_in_the_frames_is_not_taken_for_the_light(render):
     assert watch.update(120, render(120)) is None
 
 
+def test_a_frame_that_is_taken_again_does_not_hide_a_change_of_the_light(render):
+    """The lamp dims while the sweep goes back for frame 69."""
+    watch, found = LampWatch(255), None
+    for k in [*range(60, 69), 70, 69, 71, 72]:
+        found = found or watch.update(k, render(k, lamp=1.0 if k in range(60, 71) else 0.7))
+    assert found is not None and found[0] == 71
+
+
+def test_frames_that_are_left_out_do_not_hide_a_change_of_the_light(render):
+    watch, found = LampWatch(255), None
+    for k in [*range(60, 70), 74, 75, 76]:
+        found = found or watch.update(k, render(k, lamp=1.0 if k < 70 else 0.7))
+    assert found is not None and found[0] == 74
+
+
+@pytest.mark.parametrize("lost", [65, 90, 110])
+def test_a_frame_that_is_taken_again_in_steady_light_raises_no_alarm(render, lost):
+    watch = LampWatch(255)
+    order = [*range(lost - 10, lost), lost + 1, lost + 2, lost, *range(lost + 3, lost + 12)]
+    assert [watch.update(k, render(k)) for k in order] == [None] * len(order)
+
+
 def test_a_frozen_process_and_a_clock_that_jumps_are_told_apart():
     watch = TimeWatch()
     assert watch.update(0, 5) == []
