@@ -20,6 +20,7 @@ from .window import Kept, Window, indices_of
 
 logger = logging.getLogger(__name__)
 RETRY_NS = 1 * NS_PER_S
+COUNTERS = ("sent", "resent", "malformed", "superseded", "unsent", "nacks", "stray_acks")
 MAX_BURST = 256
 """Messages handled in one call, so that the caller's loop stays responsive."""
 
@@ -42,7 +43,7 @@ class FrameLane:
         self.sender = Sender(socket)
         self.window = Window(1)
         self.last_heard_ns = 0
-        self.counters = {"sent": 0, "resent": 0, "malformed": 0, "superseded": 0, "unsent": 0, "nacks": 0}
+        self.counters = dict.fromkeys(COUNTERS, 0)
         self._writer: _Writer | None = None
         self._superseded: deque[str] = deque(maxlen=1000)
         self._start: Start | None = None
@@ -173,8 +174,15 @@ class FrameLane:
 
     def _take_ack(self, message: Ack) -> LaneEvent:
         self._durable = message.durable_count
-        new = tuple(item.frame_index for item in message.frames if self.window.commit(item))
+        new = tuple(item.frame_index for item in message.frames if self._commit(item))
         return Committed(new, self._durable)
+
+    def _commit(self, item: AckItem) -> bool:
+        """Only a frame that was sent can be acked; of others that are in the file, ``start_ack`` tells."""
+        if (item.role, item.frame_index) in self.window.kept:
+            return self.window.commit(item)
+        self.counters["stray_acks"] += item.role == "sweep" and item.frame_index not in self.window.committed
+        return False
 
     def _take_nack(self, message: Nack, now_ns: int) -> LaneEvent:
         self.counters["nacks"] += 1

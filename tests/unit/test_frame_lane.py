@@ -130,6 +130,13 @@ def test_an_acked_frame_is_let_go_and_the_others_are_kept(lane, writer):
     assert sorted(key[1] for key in lane.window.kept) == [1, 2]
 
 
+def test_an_ack_for_a_frame_that_was_never_sent_commits_nothing(lane, writer):
+    make_ready(lane, writer)
+    writer.send(Ack(scan_uid="u", frames=[AckItem(0, 0, 7)], committed_count=1, durable_count=0))
+    assert poll(lane) == [Committed((), 0)]
+    assert not lane.window.committed and lane.counters["stray_acks"] == 1
+
+
 def test_a_writer_that_comes_back_gets_what_it_has_not_committed(lane, writer, second):
     make_ready(lane, writer)
     for index in range(3):
