@@ -153,13 +153,20 @@ def _pid_in(lock: Path) -> str:
 
 def _look_after(folder: Path, owner: str, options: RecoverOptions) -> Recovered:
     for leftover in (*folder.glob(f"{CREATING_PREFIX}*"), *folder.glob(".*.tmp")):
-        leftover.unlink(missing_ok=True)
+        if not _is_being_written(leftover):
+            leftover.unlink(missing_ok=True)
     partial, sealed = folder / PARTIAL_NAME, folder / SEALED_NAME
     if not partial.exists() and not sealed.exists():
         return _without_scan(folder)
     path = sealed if sealed.exists() else partial
     with closing(ScanFile(path, sealed_path=sealed)) as scan:
         return _sealed_scan(scan, folder, options) if scan.sealed else _partial_scan(scan, folder, owner, options)
+
+
+def _is_being_written(leftover: Path) -> bool:
+    """Results are written under ``.NAME.PID.tmp``: those of a living process are not left over."""
+    pid = leftover.name.split(".")[-2]
+    return leftover.suffix == ".tmp" and pid.isdecimal() and Path("/proc", pid).exists()
 
 
 def _without_scan(folder: Path) -> Recovered:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.calibration import parse_calibration
 from acquire.contract.config import LoadedConfig
@@ -60,13 +62,19 @@ def _plan_to_go_on_with(layout: ScanLayout, frame_format: FrameFormat) -> SweepP
 
 
 def _resume_from(reader: ScanReader) -> ResumeFrom:
-    last = reader.committed_through()
-    while last >= 0 and not reader.present()[last]:
-        last -= 1
+    last = _frame_to_compare(reader)
     if last < 0:
         raise CommandRefusedError(f"{reader.layout.path} holds no frame yet: start a new scan")
     before = reader.frame(last - 1) if last > 0 and reader.present()[last - 1] else None
     return ResumeFrom(last, reader.frame(last), before, reader.frame(0), _limits(reader.layout))
+
+
+def _frame_to_compare(reader: ScanReader) -> int:
+    """The last committed frame that has a neighbour before it: without one a shift of the stage cannot be seen."""
+    present = reader.present()[: reader.committed_through() + 1]
+    neighboured = np.flatnonzero(present[1:] & present[:-1]) + 1
+    alone = np.flatnonzero(present)
+    return int(neighboured[-1] if neighboured.size else alone[-1] if alone.size else -1)
 
 
 def _limits(layout: ScanLayout) -> OverlapLimits:

@@ -86,12 +86,24 @@ def test_a_damaged_frame_is_found_marked_and_named(tmp_path: Path) -> None:
         assert reader.status()[2] == FrameStatus.DAMAGED and reader.scalar("durable_count") == 2
 
 
+NO_PID = 2**22 + 1
+"""Larger than any pid of Linux."""
+
+
 def test_what_a_dead_writer_had_half_made_is_removed(tmp_path: Path) -> None:
     begin(tmp_path / "a", 1).close()
     (tmp_path / "a" / ".creating-a").write_bytes(b"half")
-    (tmp_path / "a" / ".maps.h5.77.tmp").write_bytes(b"half")
+    (tmp_path / "a" / f".maps.h5.{NO_PID}.tmp").write_bytes(b"half")
     one(tmp_path)
     assert {path.name for path in (tmp_path / "a").iterdir()} == {"scan.partial.h5", OWNER_LOCK_NAME}
+
+
+def test_results_that_are_being_written_are_no_leftovers(tmp_path: Path) -> None:
+    begin(tmp_path / "a", 1).close()
+    maps = tmp_path / "a" / f".maps.h5.{os.getpid()}.tmp"
+    maps.write_bytes(b"half")
+    one(tmp_path)
+    assert maps.exists()
 
 
 def test_a_folder_in_which_no_scan_was_ever_made_goes(tmp_path: Path) -> None:
