@@ -76,6 +76,10 @@ class CommandLane:
             return Reply(request_id=request_id, ok=True, result=self._do(command))
         except SweepscopeError as error:
             return Reply(request_id=request_id, ok=False, error=str(error))
+        except OSError as error:
+            # a disk that fails under a request must not end the sweep that runs
+            logger.exception("%s failed", command.name)
+            return Reply(request_id=request_id, ok=False, error=f"{command.name} failed: {error}")
 
     def _patience_ns(self, name: str) -> float:
         if name in _TIMELESS:

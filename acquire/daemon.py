@@ -23,12 +23,13 @@ from acquire.contract.messages import Command, FaultReport, Status
 from acquire.contract.notify import Notifier
 from acquire.contract.outcome import outcome_words
 from acquire.contract.places import lock_service, prepare_run_dir
-from acquire.contract.states import Outcome, State, transition
+from acquire.contract.states import HoldReason, Outcome, State, transition
 from acquire.contract.units import NS_PER_S
 from acquire.stages.protocol import StageEvent
 
 from .board import Board
 from .command_lane import CommandLane
+from .complaints import Threshold
 from .control import Control
 from .desk import Desk
 from .events import StopRequested, Tick
@@ -43,6 +44,8 @@ from .time_watch import TimeWatch
 
 logger = logging.getLogger(__name__)
 POLL_MS = 10
+LEAST_NOISE_BLOCKS = 10
+"""So many damaged blocks on the stage's line are told of; a few come with plugging in."""
 
 
 class Daemon:
@@ -67,8 +70,8 @@ class Daemon:
         self._desk = Desk(self)
         self._status_due_ns = 0
         self._changed = True
-        self._malformed_told = 0
-        self._writer_lost = False
+        self._unreadable, self._noisy = Threshold(1), Threshold(LEAST_NOISE_BLOCKS)
+        self._writer_lost = self._disk_slow = False
         self._status_next_ns = 0
         self._time = TimeWatch()
 
@@ -152,6 +155,7 @@ class Daemon:
         """Start a scan that was checked."""
         now_ns = self.clock.now_ns()
         self.board.scan_started(now_ns)
+        self._disk_slow = False
         self.interlude.end_for_sweep(now_ns)
         self.scan = RunningScan(
             prepared,
@@ -221,6 +225,11 @@ class Daemon:
         if lost and not self._writer_lost:
             self.fault(report("F03", committed=len(scan.sweep.window.committed), expected=scan.sweep.count))
         self._writer_lost = lost
+        slow = scan.sweep.hold_reason is HoldReason.NO_CREDIT and not lost
+        if slow and not self._disk_slow:
+            self.fault(report("F04"))
+        # told once in a scan: a disk that is slower than the camera is so at every window
+        self._disk_slow |= slow
 
     def _watch_time(self, now_ns: int) -> None:
         """A frozen process and a jump of the wall clock do no harm, but explain a gap in a log: they are noted."""
@@ -233,11 +242,13 @@ class Daemon:
                 logger.info("%s: %.1f s", code, seconds)
 
     def _watch_messages(self) -> None:
-        """Tell of messages that nobody could read: the first, and when there are ten times as many."""
+        """Tell of messages and blocks that nobody could read: the first, and when there are ten times as many."""
         count = self._commands.malformed + self.lane.counters["malformed"]
-        if count // 10 >= self._malformed_told and count > self._malformed_told:
-            self._malformed_told = count
+        if self._unreadable.reached(count):
             self.fault(report("F20", count=count))
+        damaged = self.rig.stage.status().damaged_blocks
+        if self._noisy.reached(damaged):
+            self.fault(report("F11", detail=f"{damaged} blocks came damaged"))
 
     def _interrupt(self, now_ns: int) -> None:
         """The service ends: so does the sweep, with an honest end."""

@@ -64,9 +64,22 @@ class RunningScan:
             self._carry_out(self.sweep.handle(event, now_ns))
         except SweepscopeError as error:
             logger.error("a device refused: %s", error)
+            self._stop_what_moves()
             position = self._rig.stage.status().position_steps
             alarm = Alarm("F12", str(error), position, position_trusted=False)
-            self._carry_out(self.sweep.handle(alarm, now_ns))
+            for action in self.sweep.handle(alarm, now_ns):
+                self._try(action)
+
+    def _try(self, action: do.Action) -> None:
+        """One step of an ending; the next one is tried also where this one fails."""
+        try:
+            self._do(action)
+        except SweepscopeError as error:
+            logger.error("%s failed: %s", type(action).__name__, error)
+
+    def _stop_what_moves(self) -> None:
+        """The device that refused need not be the stage, and a command without an answer may have been heard."""
+        self._try(do.StopStage())
 
     @property
     def done(self) -> bool:
@@ -84,7 +97,11 @@ class RunningScan:
     def _remove_if_empty(self) -> None:
         """A folder in which no scan file was ever made is no scan."""
         folder = self.prepared.folder
-        left = {path.name for path in folder.iterdir()} - {OWNER_LOCK_NAME, TRUTH_NAME}
+        try:
+            left = {path.name for path in folder.iterdir()} - {OWNER_LOCK_NAME, TRUTH_NAME}
+        except OSError as error:
+            logger.warning("the folder of the scan cannot be read any more: %s", error)
+            return
         if not left and self.sweep.result is None:
             shutil.rmtree(folder, ignore_errors=True)
 

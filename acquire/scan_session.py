@@ -18,7 +18,7 @@ from acquire.contract.states import Outcome
 from .disk import DiskError, disk_error, file_system_of
 from .disk_thread import DiskThread
 from .recover import NOTHING_IN_IT
-from .scan_file import ScanExistsError, ScanFile, ScanIncompleteError, Seal, create_scan
+from .scan_file import ScanExistsError, ScanFile, Seal, create_scan
 from .scan_store import FrameRefusedError
 
 logger = logging.getLogger(__name__)
@@ -71,6 +71,7 @@ class ScanSession:
     def _scan_for(self, start: Start) -> ScanFile:
         # another source may come after the file was looked after by others: it is read anew
         if self._scan is not None and (self.scan_uid, self._source) == (start.scan_uid, start.epoch):
+            _runs_again(self._scan)
             return self._scan
         if not self._disk.wait(self._seal_s):
             raise DiskError(f"the disk has not ended the scan before within {self._seal_s:g} s; look at it")
@@ -107,7 +108,7 @@ class ScanSession:
             # somebody else may have closed it for good meanwhile
             if scan.path.exists() and not scan.committed_count:
                 scan.seal(Outcome.ABORTED, NOTHING_IN_IT)
-            elif scan.path.exists():
+            elif scan.path.exists() and scan.outcome != Outcome.INTERRUPTED:
                 scan.mark_outcome(
                     Outcome.INTERRUPTED, "F01 nobody owns the sweep any more: its daemon ended, or let go of it"
                 )
@@ -215,7 +216,10 @@ class ScanSession:
     # ---- end ----
 
     def end(self, end: End) -> None:
-        """Seal the scan once the disk is free; ``EndAck`` follows. A sealed scan is confirmed again."""
+        """Seal the scan once the disk is free; ``EndAck`` follows. A sealed scan is confirmed again.
+
+        One that is ``interrupted`` is marked with the reason and stays partial.
+        """
         if self._scan is None or self.scan_uid != end.scan_uid:
             self._send(Nack(scan_uid=end.scan_uid, reason="no such scan", detail="the scan is not open here"))
         elif self._ending is None:
@@ -226,14 +230,20 @@ class ScanSession:
         if scan is None or self._disk.busy:
             return
         outcome = Outcome(scan.outcome) if scan.sealed else end.outcome
-        self._disk.submit(
-            lambda: scan.seal(outcome, end.reason, end.checks), lambda done: self._sealed(scan, end, done)
-        )
+        if outcome is Outcome.INTERRUPTED:
+            self._disk.submit(lambda: _interrupt(scan, end.reason), lambda done: self._sealed(scan, end, done))
+        else:
+            self._disk.submit(
+                lambda: scan.seal(outcome, end.reason, end.checks), lambda done: self._sealed(scan, end, done)
+            )
 
     def _sealed(self, scan: ScanFile, end: End, done: Future[Any]) -> None:
         self._ending = None
         error = done.exception()
-        if error is None:
+        if error is None and done.result() is None:
+            logger.info("%s is interrupted: %s", scan.path, end.reason)
+            self._send(_not_sealed(scan, end, Outcome.INTERRUPTED, end.reason))
+        elif error is None:
             self._confirm(end, done.result())
         elif isinstance(error, ScanFileError):
             self._regret(scan, end, error)
@@ -258,17 +268,24 @@ class ScanSession:
 
     def _regret(self, scan: ScanFile, end: End, error: ScanFileError) -> None:
         logger.error("not sealed: %s", error)
-        self._send(
-            EndAck(
-                scan_uid=end.scan_uid,
-                path=str(scan.path),
-                sealed=scan.sealed,
-                outcome=Outcome(scan.outcome) if scan.sealed else Outcome.RUNNING,
-                committed=scan.committed_count,
-                missing=error.missing if isinstance(error, ScanIncompleteError) else scan.missing_ranges(),
-                reason=str(error),
-            )
-        )
+        self._send(_not_sealed(scan, end, Outcome(scan.outcome) if scan.sealed else Outcome.RUNNING, str(error)))
+
+
+def _not_sealed(scan: ScanFile, end: End, outcome: Outcome, reason: str) -> EndAck:
+    return EndAck(
+        scan_uid=end.scan_uid,
+        path=str(scan.path),
+        sealed=scan.sealed,
+        outcome=outcome,
+        committed=scan.committed_count,
+        missing=scan.missing_ranges(),
+        reason=reason,
+    )
+
+
+def _interrupt(scan: ScanFile, reason: str) -> None:
+    scan.mark_outcome(Outcome.INTERRUPTED, reason)
+    scan.sync()
 
 
 def _open(start: Start) -> ScanFile:
@@ -283,11 +300,15 @@ def _open(start: Start) -> ScanFile:
     scan = ScanFile.open_existing(folder)
     layout = scan.layout
     if layout.scan_uid == start.scan_uid and (layout.format, layout.plan) == (start.format, start.plan):
-        if not scan.sealed and scan.outcome != Outcome.RUNNING:
-            scan.mark_outcome(Outcome.RUNNING, "")
+        _runs_again(scan)
         return scan
     scan.close()
     raise ScanExistsError(f"{folder} holds another scan ({layout.scan_uid}) or another plan; nothing was written")
+
+
+def _runs_again(scan: ScanFile) -> None:
+    if not scan.sealed and scan.outcome != Outcome.RUNNING:
+        scan.mark_outcome(Outcome.RUNNING, "")
 
 
 def _lock_of_the_dead(folder: Path) -> FileLock | None:

@@ -86,6 +86,10 @@ COUNTERS: tuple[str, ...] = (
 )
 _CAN_BE_RESUMED = frozenset({"F12", "F13", "F15"})
 """Alarms after which the specimen and the frames are as they were: the scan stays partial."""
+_SILENCES = {"lease": "F15", "link lost": "F12"}
+"""Holds of the controller's own making, and the faults that they are."""
+_FOR_GOOD = ("immutable", "protocol")
+"""Refusals of a frame that sending it again would not change."""
 _CHECKS = (Phase.AMBIENT, Phase.OVERLAP, Phase.REPEAT)
 _SHOOTING = (Phase.OVERLAP, Phase.RUN, Phase.STOPPING, Phase.REPEAT)
 _BEFORE = (Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP)
@@ -102,6 +106,8 @@ class Sweep:
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     checks: dict[str, float] = field(default_factory=dict)
     paused: bool = False
+    silent: bool = False
+    """The controller holds because it did not hear the host, or is gone; it goes on by itself when it does."""
     durable: int = 0
     result: Sealed | None = None
     position_steps: int = 0
@@ -110,6 +116,8 @@ class Sweep:
     _skip_checks: bool = False
     _deadline_ns: int | None = None
     _first_pixels: NDArray[Any] | None = None
+    _light_is_judged: bool = False
+    """It is paused because the light changed: to resume is to accept the light."""
     _complaint: str = "the frame did not come again"
     """Why a resumed sweep must not go on; empty once the overlap check has passed."""
 
@@ -138,7 +146,8 @@ class Sweep:
         if self.phase in _BEFORE:
             return State.ARMED
         if self.phase in _SHOOTING:
-            return State.HOLDING if self.paused or self.shooting.short_of_credit else State.SWEEPING
+            holding = self.paused or self.silent or self.shooting.short_of_credit
+            return State.HOLDING if holding else State.SWEEPING
         return State.FINISHING
 
     @property
@@ -146,7 +155,9 @@ class Sweep:
         """Why it holds; None when it does not."""
         if self.state is not State.HOLDING:
             return None
-        return HoldReason.PAUSED if self.paused else HoldReason.NO_CREDIT
+        if self.paused:
+            return HoldReason.PAUSED
+        return HoldReason.LINK_LOST if self.silent else HoldReason.NO_CREDIT
 
     @property
     def can_pause(self) -> bool:
@@ -208,7 +219,7 @@ class Sweep:
             happened=f"the scan cannot go on: {self._complaint} (overlap.png beside the scan shows it)",
             to_do="put it back, or home the stage, and resume; or close the scan: 'sweepscope recover --seal'",
         )
-        return self._abandon(Outcome.INTERRUPTED, f"overlap check: {self._complaint}", told)
+        return [RaiseFault(told), *self._end_early(Outcome.INTERRUPTED, f"overlap check: {self._complaint}", now_ns)]
 
     # ---- shots ----
 
@@ -221,7 +232,7 @@ class Sweep:
         return self.shooting.begin(*run, now_ns)
 
     def _on_triggered(self, event: Triggered, now_ns: int) -> list[Action]:
-        self.position_steps = event.position_steps
+        self.position_steps, self.silent = event.position_steps, False
         self.counters["triggered" if self.phase not in _CHECKS else "check_triggers"] += 1
         wrong = self.shooting.triggered(event, now_ns)
         if wrong:
@@ -269,7 +280,7 @@ class Sweep:
         first, what = found
         self._light.forget()
         self.checks.setdefault("light_changed_at", float(first))
-        self.paused = True
+        self.paused = self._light_is_judged = True
         fault = self._report("F27", detail=f"{what} since frame {first}")
         return [RaiseFault(fault), *([HoldStage()] if self.phase is Phase.RUN else [])]
 
@@ -305,6 +316,7 @@ class Sweep:
 
     def _on_rest(self, event: SegmentDone | Moved | Stopped, now_ns: int) -> list[Action]:
         self.position_steps, self._resting, self._deadline_ns = event.position_steps, True, None
+        self.silent = False
         self.shooting.segment_done = True
         if self.phase is Phase.LIMIT:
             if isinstance(event, Moved) and event.steps_lost is not None:
@@ -364,10 +376,7 @@ class Sweep:
         return []
 
     def _finish(self, now_ns: int) -> list[Action]:
-        if self.outcome is Outcome.INTERRUPTED:
-            # what was taken is committed; nothing is sealed, so that the sweep can go on another time
-            self.phase = Phase.DONE
-            return []
+        # an interrupted sweep is not sealed, so that it can go on another time; the file learns why it was
         self.phase = Phase.SEAL
         self._deadline_ns = now_ns + self.settings.seal_ns
         if self.outcome is Outcome.RUNNING:
@@ -398,6 +407,8 @@ class Sweep:
         if self.phase is not Phase.SEAL:
             return []
         self.phase, self.result = Phase.DONE, event
+        if self.outcome is Outcome.INTERRUPTED:
+            return []
         if event.end_ack.sealed:
             self.durable = len(self.window.committed)
             return []
@@ -421,7 +432,9 @@ class Sweep:
         if not self.paused:
             return []
         self.paused = False
-        self._light.forget()
+        if self._light_is_judged:
+            self._light_is_judged = False
+            self._light.forget()
         if self.phase is Phase.RUN:
             return [ResumeStage(), *self._grant(now_ns)]
         return []
@@ -431,6 +444,7 @@ class Sweep:
 
     def _on_alarm(self, event: Alarm, now_ns: int) -> list[Action]:
         # the controller stands already: nothing more will be heard of the activity
+        self.silent = False
         self.position_steps, self._resting, self.shooting.segment_done = event.position_steps, True, True
         outcome = Outcome.INTERRUPTED if event.code in _CAN_BE_RESUMED else Outcome.ABORTED
         return self._give_up(outcome, event.detail, event.code, now_ns)
@@ -445,11 +459,17 @@ class Sweep:
         fault = self._report("F06" if nack.reason == "no space" else "F07", detail=detail)
         if self.phase is Phase.WAIT_WRITER:
             return self._abandon(Outcome.FAILED, detail, fault)
+        if nack.reason in _FOR_GOOD and nack.frame_index >= 0:
+            # a check frame may be there from before an interruption; a frame of the sweep blocks all that follow
+            return [] if nack.role != "sweep" else self._give_up(Outcome.FAILED, detail, "F07", now_ns)
         return [RaiseFault(fault)]
 
     def _on_held(self, event: Held, now_ns: int) -> list[Action]:
         self.position_steps = event.position_steps
-        return []
+        if event.reason not in _SILENCES:
+            return []
+        self.silent = True
+        return [RaiseFault(self._report(_SILENCES[event.reason], detail="it is waited for"))]
 
     # ---- time ----
 
@@ -471,9 +491,11 @@ class Sweep:
             seconds = f"{self.settings.writer_start_ns / NS_PER_S:g}"
             return self._abandon(Outcome.FAILED, "no writer made the file ready", self._report("F05", seconds=seconds))
         if self.phase in (Phase.DRAIN, Phase.SEAL):
-            return self._abandon(Outcome.INTERRUPTED, "the writer did not seal in time", self._report("F03"))
-        self._resting = True  # it cannot be asked to stop once more: the daemon closes it
-        return self._give_up(Outcome.INTERRUPTED, "the stage does not answer", "F12", now_ns)
+            reason = self.reason if self.outcome is Outcome.INTERRUPTED else "F03 the writer did not seal in time"
+            return self._abandon(Outcome.INTERRUPTED, reason, self._report("F03"))
+        self._resting = True  # nothing is waited for any more; what it still hears, it shall do
+        self.shooting.segment_done = True
+        return [StopStage(), *self._give_up(Outcome.INTERRUPTED, "the stage does not answer", "F12", now_ns)]
 
     def _moving_until(self, now_ns: int) -> None:
         self._resting = False

@@ -56,7 +56,7 @@ _ROWS = (
         "F15",
         "the host was too late for the stage",
         _KEPT + "; the stage holds",
-        "look at the load, then resume the scan",
+        "nothing: it goes on; look at the load, and if the sweep has ended, resume the scan",
     ),
     Fault(
         "F16",

@@ -78,7 +78,8 @@ class Moved(msgspec.Struct, frozen=True):
 class Held(msgspec.Struct, frozen=True):
     """The stage holds within a segment, at a known place between two shots."""
 
-    reason: Literal["requested", "no credit", "lease"]
+    reason: Literal["requested", "no credit", "lease", "link lost"]
+    """``lease``: it did not hear the host; ``link lost``: the host does not hear it. Both go on by themselves."""
     position_steps: int
 
 
@@ -114,6 +115,8 @@ class StageStatus(msgspec.Struct, frozen=True):
     triggers: int
     """Triggers fired since boot."""
     lamp_on: bool = False
+    damaged_blocks: int = 0
+    """Blocks that came damaged over the line since it was opened, and were asked for again."""
 
 
 class Stage(Protocol):

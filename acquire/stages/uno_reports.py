@@ -94,6 +94,7 @@ class UnoReports:
             moving=moving,
             triggers=report.triggers,
             lamp_on=bool(report.flags & Flag.LAMP),
+            damaged_blocks=self._link.counters()["damaged"],
         )
 
     def keep_alive(self) -> None:
@@ -212,7 +213,12 @@ class UnoReports:
     def on_lost(self, detail: str) -> None:
         """The firmware holds by its lease; wait for it to come back."""
         logger.warning("the stage's controller is gone: %s", detail)
-        self._lost_since_s = time.monotonic()
+        with self._lock:
+            self._lost_since_s = time.monotonic()
+            segment = self._activity == "segment"
+            position = self._report.position if self._report is not None else 0
+        if segment:
+            self._sink(Held("link lost", position))
 
     def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
         """The same one: go on. Restarted: it knows nothing any more, not even where it is."""

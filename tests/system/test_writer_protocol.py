@@ -14,7 +14,7 @@ import pytest
 import zmq
 
 from acquire.contract.lanes import Sender, bind, receive
-from acquire.contract.messages import Ack, End, EndAck, Hello, Message, Nack, Start, StartAck
+from acquire.contract.messages import PROTOCOL, Ack, End, EndAck, Hello, Message, Nack, Start, StartAck
 from acquire.contract.states import Outcome
 from acquire.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
@@ -158,7 +158,8 @@ def test_messages_that_make_no_sense_are_counted_and_ignored(source: Source, wri
 def test_another_major_version_is_refused_with_both_named(source: Source, writer: Child) -> None:
     source.send_raw(msgpack.packb({"type": "start", "protocol": [2, 7]}))
     nack = source.take(Nack)
-    assert (nack.reason, "2.7" in nack.detail, "1.1" in nack.detail) == ("protocol", True, True)
+    ours = ".".join(map(str, PROTOCOL))
+    assert (nack.reason, "2.7" in nack.detail, ours in nack.detail) == ("protocol", True, True)
 
 
 def test_a_frame_of_a_scan_that_is_not_open_is_refused(source: Source, writer: Child, start: Start) -> None:
@@ -233,6 +234,18 @@ def test_a_complete_end_with_missing_frames_leaves_the_scan_open_and_names_them(
     source.send(msgspec.structs.replace(end, outcome=Outcome.FAILED, reason="frames 1 and 3 were lost"))
     sealed = source.take(EndAck)
     assert (sealed.sealed, sealed.outcome, sealed.missing) == (True, Outcome.FAILED, [(1, 1), (3, 3)])
+
+
+def test_an_interrupted_end_leaves_the_scan_partial_with_its_reason(
+    source: Source, writer: Child, bench: Bench, start: Start
+) -> None:
+    begin(source, start)
+    send_frame(source, start, 0)
+    source.send(End(scan_uid=start.scan_uid, outcome=Outcome.INTERRUPTED, reason="F13 reset", expected=COUNT, sent=1))
+    answer = source.take(EndAck)
+    assert not answer.sealed and answer.outcome is Outcome.INTERRUPTED and answer.missing == [(1, COUNT - 1)]
+    report = verify(bench.scan)
+    assert (report.outcome, report.reason, report.sealed, report.committed) == ("interrupted", "F13 reset", False, 1)
 
 
 def test_an_end_of_a_scan_that_is_not_open_is_refused(source: Source, writer: Child) -> None:

@@ -13,6 +13,7 @@ from acquire import actions as do
 from acquire.cameras.protocol import CameraFrame
 from acquire.contract.messages import AckItem, EndAck, FaultReport, FrameFormat, Image
 from acquire.contract.plan import SweepPlan
+from acquire.contract.states import Outcome
 from acquire.events import Committed, Sealed, SweepEvent, Tick, WriterReady
 from acquire.shooting import Shooting, SweepSettings
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
@@ -61,6 +62,8 @@ class Bench:
     triggers: list[tuple[int, int]] = field(default_factory=list)
     """(frame index, position) of every trigger that was fired."""
     end: do.Finish | None = None
+    stops: int = 0
+    """How often the stage was told to stop."""
     _events: deque[SweepEvent] = field(default_factory=deque)
     _segment: Segment | None = None
     _next_shot: int = 0
@@ -116,6 +119,7 @@ class Bench:
                 self._held = False
             case do.StopStage():
                 self._segment = None
+                self.stops += 1
                 self._events.append(Stopped(0, position_trusted=True))
             case do.CheckLimit():
                 self._events.append(Moved(0, position_trusted=True, steps_lost=0))
@@ -127,7 +131,8 @@ class Bench:
                     self._events.append(Committed((image.frame_index,), 0))
             case do.Finish():
                 self.end = action
-                self._events.append(Sealed(EndAck(path="x", sealed=True, outcome=action.end.outcome, committed=0)))
+                sealed = action.end.outcome is not Outcome.INTERRUPTED
+                self._events.append(Sealed(EndAck(path="x", sealed=sealed, outcome=action.end.outcome, committed=0)))
             case do.RaiseFault(fault):
                 self.faults.append(fault)
             case do.Say(text):

@@ -10,7 +10,7 @@ from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, WriterReady
 from acquire.overlap import OverlapLimits
 from acquire.shooting import ResumeFrom
-from acquire.stages.protocol import Alarm, Triggered
+from acquire.stages.protocol import Alarm, Held, Triggered
 
 from .sweep_bench import bench, done
 
@@ -157,8 +157,42 @@ def test_a_controller_that_is_lost_leaves_the_sweep_interrupted_so_that_it_can_b
     on.tick(200)
     on.tick(1)
     assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
-    assert on.end is None, "nothing may be sealed"
+    assert on.end is not None and on.end.end.outcome is Outcome.INTERRUPTED and code in on.end.end.reason
+    assert on.end.end.missing == [(4, 9)]
     assert [fault.code for fault in on.faults] == [code]
+
+
+@pytest.mark.parametrize(("reason", "code"), [("lease", "F15"), ("link lost", "F12")])
+def test_a_controller_that_holds_by_itself_is_told_of_and_the_sweep_goes_on_with_it(reason, code):
+    on = bench(10, slots=4)
+    on.acking = False
+    on.start()
+    on.ack_all()
+    on.feed(Held(reason, 40))
+    assert [fault.code for fault in on.faults] == [code]
+    assert (on.sweep.state, on.sweep.hold_reason) == (State.HOLDING, HoldReason.LINK_LOST)
+    on.acking = True
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+
+
+def test_a_frame_that_the_file_will_never_take_ends_the_sweep_by_name_instead_of_blocking_it():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.sweep.window.give_up("sweep", 0)
+    on.feed(Refused(Nack(reason="immutable", frame_index=0, detail="frame 0 is committed with other pixels")))
+    on.ack_all()
+    assert done(on) and on.sweep.outcome is Outcome.FAILED and "other pixels" in on.faults[0].happened
+    assert on.end is not None and on.end.end.missing[0][0] == 0
+
+
+def test_a_check_frame_from_before_an_interruption_is_no_fault():
+    on = bench(20, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(Refused(Nack(reason="immutable", frame_index=0, role="repeat")))
+    assert on.faults == [] and on.sweep.outcome is Outcome.RUNNING
 
 
 def test_a_trigger_at_another_place_than_planned_is_never_taken_for_right():
@@ -179,6 +213,7 @@ def test_a_stage_that_falls_silent_is_a_fault_and_not_an_endless_wait():
     on.tick(1)
     on.tick(5001)
     assert on.faults[0].code == "F12" and on.sweep.outcome is Outcome.INTERRUPTED
+    assert on.stops == 1, "it may still hear"
 
 
 def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
@@ -219,7 +254,10 @@ def test_a_resumed_sweep_takes_its_last_frame_again_and_then_only_what_is_missin
 def test_a_resumed_sweep_does_not_go_on_where_something_moved():
     on = resumed(moved=True)
     on.start()
-    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED and on.end is None
+    on.tick(1)
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
+    assert on.end is not None and "overlap" in on.end.end.reason
     assert [image.role for image in on.published] == ["overlap"]
     assert "moved" in on.faults[0].happened and "4 of 10" in on.faults[0].safe
 
@@ -229,5 +267,7 @@ def test_a_resumed_sweep_whose_overlap_frame_does_not_come_stays_interrupted():
     on.spoil = lambda frame_index, attempt: "missed" if attempt == 0 else ""
     on.start()
     on.tick(200)
+    on.tick(1)
+    on.tick(1)
     on.tick(1)
     assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED

@@ -1,0 +1,99 @@
+"""The daemon between its devices: alarms outside of a scan, devices that refuse, folders that vanish."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from acquire.cameras.protocol import CameraInfo, CameraSettings
+from acquire.contract.config import load_config
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.messages import FrameFormat
+from acquire.contract.states import Outcome, State
+from acquire.daemon import Daemon
+from acquire.events import WriterReady
+from acquire.requests import ScanRequest
+from acquire.rig import Rig
+from acquire.stages.protocol import Alarm, StageInfo, StageStatus
+
+NOW_NS = 10**15
+
+
+class Device:
+    """Notes what is asked of it; the calls in ``refusing`` raise."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind, self.calls, self.refusing = kind, [], set()
+
+    def open(self, _sink):
+        small = FrameFormat(width=16, height=16, bit_depth=8)
+        return StageInfo(kind="x") if self.kind == "stage" else CameraInfo(kind="x", format=small)
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        return settings
+
+    def status(self) -> StageStatus:
+        return StageStatus(0, True, "z", False, 0, False)
+
+    def __getattr__(self, step: str):
+        def call(*_args, **_kwargs) -> None:
+            self.calls.append(step)
+            if step in self.refusing:
+                raise CommandRefusedError(f"{step} is refused")
+
+        return call
+
+
+@pytest.fixture
+def daemon(run_dir, tmp_path):
+    config = load_config(environ={"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path / "scans")})
+    made = Daemon(config, run_dir, Rig(Device("stage"), Device("camera")))
+    made.open()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def running(daemon):
+    """A scan that waits for its writer."""
+    daemon._desk._scan(ScanRequest(name="test", purpose="raw"))
+    return daemon.scan
+
+
+def test_after_an_alarm_outside_of_a_scan_the_rig_can_be_used_again_without_a_restart(daemon):
+    daemon.enter(State.MOVING)
+    daemon._take_device_event(Alarm("F13", "reset", 0, position_trusted=False), NOW_NS)
+    assert daemon.board.state is State.FAULT and daemon.board.faults[0].code == "F13"
+    with pytest.raises(CommandRefusedError, match="acknowledge"):
+        daemon._desk.serve("home", {})
+    daemon._desk.serve("acknowledge", {})
+    daemon._desk.serve("home", {})
+    assert daemon.rig.stage.calls[-1] == "home" and daemon.board.state is State.HOMING
+
+
+@pytest.mark.parametrize("also", [set(), {"disarm", "stop"}])
+def test_a_device_that_refuses_stops_the_stage_and_ends_the_sweep(daemon, running, also):
+    daemon.rig.camera.refusing = {"snap"} | also
+    daemon.rig.stage.refusing = also
+    running.handle(WriterReady(reserved=True, came_back=False), NOW_NS)
+    assert "stop" in daemon.rig.stage.calls
+    assert running.sweep.outcome is Outcome.INTERRUPTED
+    assert [fault.code for fault in daemon.board.faults] == ["F12"]
+
+
+def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(running):
+    shutil.rmtree(running.prepared.folder)
+    running.close()
+
+
+def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(daemon, monkeypatch):
+    from acquire import desk
+    from acquire.contract.messages import Command
+
+    def fails(*_args):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(desk, "prepare_scan", fails)
+    reply = daemon._commands._reply_to(Command(request_id="1", name="scan", args={"name": "test", "purpose": "raw"}))
+    assert not reply.ok and "Input/output error" in reply.error
