@@ -36,6 +36,7 @@ ROOT = Path(__file__).parents[2]
 STEPS = 12
 COUNT = 1578 // STEPS + 1
 FRAME_BYTES = 128 * 96 * 3
+UM_PER_MICROSTEP = 3.175
 PACED = {"SIMULATION__TIME_SCALE": 0.1, "SWEEP__MAX_RATE_HZ": 15.0}
 """150 frames per second: a sweep of a second, so that a fault finds it running."""
 
@@ -159,11 +160,12 @@ def run_scan(fault: str, at: float, seed: int, sabotage: str = "") -> None:
         seed: of everything that is random.
         sabotage: a protection that is switched off (``sabotage.PROTECTIONS``); the row must then fail.
     """
+    from .firmware_rows import FIRMWARE_ROWS
     from .rows import ROWS
 
     print(f"{fault} at={at:.3f} seed={seed} {sabotage}", flush=True)
     with a_rig(seed, at, sabotage) as rig:
-        ROWS[fault](rig)
+        (ROWS | FIRMWARE_ROWS)[fault](rig)
 
 
 @lru_cache(maxsize=1)
@@ -174,11 +176,16 @@ def _renderer() -> tuple[Any, Any]:
 
 
 @lru_cache(maxsize=4 * COUNT)
-def expected(frame_index: int, lamp: float = 1.0, room: float = 1.0) -> Any:
-    """What the optics show in a frame: rendered by nothing that the services had a hand in."""
+def expected(frame_index: int, lamp: float = 1.0, room: float = 1.0, on_the_fly: float = 0.0) -> Any:
+    """What the optics show in a frame: rendered by nothing that the services had a hand in.
+
+    ``on_the_fly`` is the share of a frame's way during which the shutter is open; 0: the stage stands.
+    """
     renderer, camera = _renderer()
+    # by way of um, as the position travels through the system: the last bit counts
+    middle = (STEPS * frame_index + STEPS * on_the_fly / 2) * UM_PER_MICROSTEP / UM_PER_MICROSTEP
     return renderer.render(
-        STEPS * frame_index, lamp=lamp, room=room,
+        middle, lamp=lamp, room=room, travel_steps=2 * (middle - STEPS * frame_index),
         exposure_ms=camera.exposure_ms, gain=camera.gain, brightness=camera.brightness_percent,
     )  # fmt: skip
 

@@ -17,6 +17,12 @@ from typing import Any
 def inject(name: str) -> None:
     """Faults of the machine that last as long as the flag file exists."""
     flag = Path(os.environ["SWEEPSCOPE_TEST_FLAG"])
+    if name == "other firmware":
+        from acquire import twin
+        from acquire.stages.emulator import build_firmware
+
+        folder = Path(os.environ["TMPDIR"]) / "firmware"
+        twin.build_firmware = lambda: build_firmware(folder, "DEFINES=-DPROTOCOL_MAJOR=9")
     if name in ("EIO", "ENOSPC"):
         from acquire import scan_store
 
