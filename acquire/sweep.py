@@ -88,6 +88,10 @@ _CAN_BE_RESUMED = frozenset({"F12", "F13", "F15"})
 """Alarms after which the specimen and the frames are as they were: the scan stays partial."""
 _SILENCES = {"lease": "F15", "link lost": "F12"}
 """Holds of the controller's own making, and the faults that they are."""
+_DAMAGED = ("crc", "shape")
+"""Refusals of a frame that was not what was sent; it is sent again."""
+_NO_FAULT = ("no such scan", "busy", "superseded")
+"""What a writer says while it comes and goes."""
 _FOR_GOOD = ("immutable", "protocol")
 """Refusals of a frame that sending it again would not change."""
 _CHECKS = (Phase.AMBIENT, Phase.OVERLAP, Phase.REPEAT)
@@ -462,7 +466,11 @@ class Sweep:
         if nack.reason in _FOR_GOOD and nack.frame_index >= 0:
             # a check frame may be there from before an interruption; a frame of the sweep blocks all that follow
             return [] if nack.role != "sweep" else self._give_up(Outcome.FAILED, detail, "F07", now_ns)
-        return [RaiseFault(fault)]
+        if nack.reason in _DAMAGED:
+            fault = self._report(
+                "F19", frame=nack.frame_index, attempts=1, detail=f"on its way to the writer: {detail}"
+            )
+        return [] if nack.reason in _NO_FAULT else [RaiseFault(fault)]
 
     def _on_held(self, event: Held, now_ns: int) -> list[Action]:
         self.position_steps = event.position_steps

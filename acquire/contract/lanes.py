@@ -26,7 +26,9 @@ _MAX_BYTES = {
     "command": MAX_COMMAND_BYTES,
     "preview": MAX_FRAME_BYTES,
 }
-_MARKS = {"frames": 100_000, "live": 16, "results": 64, "status": 16, "command": 256, "preview": 2}
+LIVE_MARK = 16
+"""Frames that may wait for a subscriber of the live lane; they are the daemon's memory."""
+_MARKS = {"frames": 100_000, "live": LIVE_MARK, "results": 64, "status": 16, "command": 256, "preview": 2}
 """High-water marks in messages; that of the frames lane lies far above any window and never decides."""
 
 

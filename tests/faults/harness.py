@@ -72,6 +72,8 @@ class Rig(Appliance):
         self.flag = data_dir.parent / "flag"
         """A file whose existence switches an injected fault on."""
         self.environ["SWEEPSCOPE_TEST_FLAG"] = str(self.flag)
+        self.prefix: list[str] = []
+        """Command that services are started with: another place to live in."""
 
     def set(self, **settings: Any) -> None:
         """Settings for services started from now on: SECTION__KEY=value."""
@@ -83,7 +85,7 @@ class Rig(Appliance):
         for service in services:
             with self.log.open("ab") as log:
                 self.processes[service] = subprocess.Popen(
-                    [sys.executable, "-m", "tests.faults.launch", service],
+                    [*self.prefix, sys.executable, "-m", "tests.faults.launch", service],
                     env=environ, cwd=ROOT, stdout=log, stderr=log,
                 )  # fmt: skip
 

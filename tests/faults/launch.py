@@ -10,23 +10,23 @@ from __future__ import annotations
 import errno
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 
-def inject(name: str) -> None:
-    """Faults of the machine that last as long as the flag file exists."""
-    flag = Path(os.environ["SWEEPSCOPE_TEST_FLAG"])
-    if name == "other firmware":
-        from acquire import twin
-        from acquire.stages.emulator import build_firmware
 
-        folder = Path(os.environ["TMPDIR"]) / "firmware"
-        twin.build_firmware = lambda: build_firmware(folder, "DEFINES=-DPROTOCOL_MAJOR=9")
-    if name in ("EIO", "ENOSPC"):
+def inject(name: str, flag: Path) -> None:
+    """Switch one fault on, for as long as the flag file exists where it is one that can end."""
+    INJECTIONS[name](flag)
+
+
+def _disk_says(number: int) -> Callable[[Path], None]:
+    def install(flag: Path) -> None:
         from acquire import scan_store
 
-        real, number = scan_store.write_at, getattr(errno, name)
+        real = scan_store.write_at
 
         def write_at(fd: int, data: Any, offset: int) -> None:
             if flag.exists():
@@ -35,6 +35,56 @@ def inject(name: str) -> None:
 
         scan_store.write_at = write_at
 
+    return install
+
+
+def _other_firmware(_flag: Path) -> None:
+    from acquire import twin
+    from acquire.stages.emulator import build_firmware
+
+    folder = Path(os.environ["TMPDIR"]) / "firmware"
+    twin.build_firmware = lambda: build_firmware(folder, "DEFINES=-DPROTOCOL_MAJOR=9")
+
+
+def _bits_flip(_flag: Path) -> None:
+    """Every twentieth frame reaches the writer with a bit flipped, the first time that it comes."""
+    from acquire.scan_session import ScanSession
+
+    real, seen = ScanSession.image, set()
+
+    def image(self: Any, message: Any, pixels: Any) -> None:
+        if message.frame_index % 20 == 7 and message.frame_index not in seen:
+            seen.add(message.frame_index)
+            pixels = bytearray(pixels)
+            pixels[len(pixels) // 2] ^= 4
+        real(self, message, memoryview(pixels))
+
+    ScanSession.image = image
+
+
+def _live_lane_lies(flag: Path) -> None:
+    """The worker hears of other pixels than the writer, whole in themselves."""
+    from acquire.contract.outcome import frame_crc32
+    from acquire.running import RunningScan
+
+    def publish(self: Any, image: Any, pixels: Any) -> None:
+        self._lane.offer(image, pixels)
+        if flag.exists() and image.role == "sweep" and image.frame_index % 30 == 9:
+            pixels = 255 - pixels
+            image = msgspec.structs.replace(image, crc32=frame_crc32(pixels))
+        self._live.send(image, pixels)
+
+    RunningScan._publish = publish
+
+
+INJECTIONS: dict[str, Callable[[Path], None]] = {
+    "EIO": _disk_says(errno.EIO),
+    "ENOSPC": _disk_says(errno.ENOSPC),
+    "other firmware": _other_firmware,
+    "bits flip": _bits_flip,
+    "the live lane lies": _live_lane_lies,
+}
+
 
 def main() -> int:
     """Run the service named on the command line."""
@@ -42,7 +92,7 @@ def main() -> int:
     from tui.cli import run
 
     if os.environ.get("SWEEPSCOPE_TEST_INJECT"):
-        inject(os.environ["SWEEPSCOPE_TEST_INJECT"])
+        inject(os.environ["SWEEPSCOPE_TEST_INJECT"], Path(os.environ["SWEEPSCOPE_TEST_FLAG"]))
     if os.environ.get("SWEEPSCOPE_TEST_SABOTAGE"):
         PROTECTIONS[os.environ["SWEEPSCOPE_TEST_SABOTAGE"]].switch_off()
     return run(sys.argv[1:])

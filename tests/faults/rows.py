@@ -27,6 +27,7 @@ from tui.client import RigClient
 
 from .clock import wall_clock_library
 from .harness import COUNT, FRAME_BYTES, Rig, assert_frames, assert_promise
+from .small_disk import small_disk, why_not
 
 Row = Callable[[Rig], None]
 COMPILING_S = 180.0
@@ -158,6 +159,30 @@ def disk_full(rig: Rig) -> None:
         assert_frames(Path(scan["path"]))
         rig.flag.unlink()
         complete(rig, client, scan)
+    for service in ("daemon", "writer"):
+        rig.kill(service)
+    _small_disk_full(rig)
+
+
+def _small_disk_full(rig: Rig) -> None:
+    """On a real disk of 40 MB: refused before it moves; what is reserved is there though the disk fills up."""
+    if why := why_not():
+        pytest.skip(f"no disk of 40 MB can be mounted for this process alone: {why}")
+    with small_disk(rig) as disk:
+        rig.start("daemon", "writer")
+        with rig.client() as client:
+            rig.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+            disk.fill(leave_bytes=2_000_000)
+            with pytest.raises(CommandRefusedError, match="make room"):
+                rig.scan(client, name="refused")
+            disk.make_room()
+            scan = rig.begin(client)
+            rig.moment(client)
+            disk.fill(leave_bytes=0)
+            status = rig.finished(client, scan["scan_uid"])
+        assert_promise(disk.outside(scan["path"]), rig, "complete")
+        assert status.outcome == "complete" and "F06" not in rig.seen[scan["scan_uid"]].faults
+        rig.close()
 
 
 def disk_broken(rig: Rig) -> None:
@@ -205,7 +230,8 @@ def _with_results(rig: Rig, scan: dict[str, Any]) -> None:
 
 
 def worker_killed(rig: Rig) -> None:
-    """F08: the sweep does not notice; the next worker ends with the identical result."""
+    """F08: the sweep does not notice; the next worker ends with the identical result, also where it heard lies."""
+    rig.environ["SWEEPSCOPE_TEST_INJECT"] = "the live lane lies"
     rig.start("daemon", "writer", "worker")
     with rig.client() as client:
         rig.until((rig.run_dir / "results.sock").exists, "the worker is up")
@@ -214,7 +240,13 @@ def worker_killed(rig: Rig) -> None:
         rig.kill("worker")
         rig.start("worker")
         complete(rig, client, scan)
-    _with_results(rig, scan)
+        _with_results(rig, scan)
+        rig.flag.touch()
+        lied = rig.begin(client, name="lied")
+        complete(rig, client, lied)
+        _with_results(rig, lied)
+    report = json.loads((Path(lied["path"]) / "report.json").read_text())
+    assert report["counts"]["refolded"] == COUNT
 
 
 def worker_frozen(rig: Rig) -> None:
@@ -278,9 +310,11 @@ def camera_restarts(rig: Rig) -> None:
 
 
 def frames_of_another_shape(rig: Rig) -> None:
-    """F19: refused and re-taken; a camera that does nothing else is a fault with a name."""
-    _scan, status = _scripted(rig, ("shape", "type"))
+    """F19: refused and re-taken or sent again; a camera that does nothing else is a fault with a name."""
+    rig.environ["SWEEPSCOPE_TEST_INJECT"] = "bits flip"
+    first, status = _scripted(rig, ("shape", "type"))
     assert status.counters["damaged"] == 2 and status.retaken == 2
+    assert "on its way to the writer" in rig.seen[first["scan_uid"]].faults["F19"]
     rig.kill("daemon")
     exposure = 5 + int(rig.at * (COUNT - 25))
     rig.set(SIMULATION__FAULTS=",".join(f"shape:{exposure + k}" for k in range(4)))

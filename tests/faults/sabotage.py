@@ -228,6 +228,98 @@ def _one_client_only() -> None:
     _replace(Daemon, "_answer", answer)
 
 
+def _no_comparison_by_the_worker() -> None:
+    from process.cursor import FoldCursor
+
+    _replace(FoldCursor, "differs_from", lambda *_args: [])
+
+
+def _no_crc_on_arrival() -> None:
+    from acquire import scan_file
+
+    real = scan_file.frame_crc32
+    _replace(scan_file, "frame_crc32", lambda raw: _Equal(real(raw)))
+
+
+class _Equal(int):
+    def __ne__(self, other: object) -> bool:
+        return False
+
+    __hash__ = int.__hash__
+
+
+def _no_crc_on_the_line() -> None:
+    from cobs import cobs
+
+    from acquire import framing
+    from acquire.stages import link
+
+    def decode(encoded: bytes) -> Any:
+        try:
+            raw = cobs.decode(encoded)
+        except cobs.DecodeError:
+            return None
+        return framing.Block(raw[1], raw[2], raw[3:-4]) if len(raw) >= framing.BLOCK_OVERHEAD else None
+
+    _replace(framing, "decode_block", decode)
+    assert link.BlockReader is framing.BlockReader
+
+
+def _no_reconnect() -> None:
+    from acquire.stages.link import Link
+
+    def lose(self: Any, detail: str) -> None:
+        self._nonce = 0
+        self._handler.on_lost(detail)
+        self._closing = True
+
+    _replace(Link, "_lose", lose)
+
+
+def _no_boot_id() -> None:
+    from acquire.stages.uno_reports import UnoReports
+
+    real = UnoReports.on_back
+    _replace(UnoReports, "on_back", lambda self, hello, same_session: real(self, hello, same_session=True))
+
+
+def _no_handshake() -> None:
+    from acquire.stages import link
+
+    class Any_(int):
+        def __eq__(self, other: object) -> bool:
+            return True
+
+        def __ne__(self, other: object) -> bool:
+            return False
+
+        __hash__ = int.__hash__
+
+    _replace(link, "PROTOCOL_MAJOR", Any_(link.PROTOCOL_MAJOR))
+    _replace(link, "WIRE_CRC", Any_(link.WIRE_CRC))
+
+
+def _no_lease() -> None:
+    from acquire import twin
+    from acquire.stages import uno_config, wire
+
+    real = uno_config.config_body
+    from acquire.stages import uno_reports
+
+    longest = wire.LEASE_MAX_MS
+    import msgspec
+
+    _replace(uno_reports, "config_body", lambda config: real(msgspec.structs.replace(config, motion_lease_ms=longest)))
+    assert twin.TwinStage
+
+
+def _no_alarm() -> None:
+    from acquire.stages.protocol import Alarm
+    from acquire.sweep import _HANDLERS
+
+    _HANDLERS[Alarm] = lambda *_args: []
+
+
 PROTECTIONS: dict[str, Protection] = {
     "resume needs the mark of an interruption": Protection("F01", "mark of an interrupted scan", _no_mark),
     "notice of a freeze": Protection("F02", "notice of a frozen daemon", _no_time_watch),
@@ -239,15 +331,23 @@ PROTECTIONS: dict[str, Protection] = {
     "reservation": Protection("F06", "the file's space is reserved first", _no_reservation),
     "link count": Protection("F07", "a deleted file takes no frames", _no_link_count),
     "gaps from the file": Protection("F08", "the worker fills gaps from the file", _no_file_lane),
+    "comparison by the worker": Protection("F08", "the fold is compared with the file", _no_comparison_by_the_worker),
     "lossy live lane": Protection("F09", "the live lane drops instead of waiting", _blocking_live_lane),
     "any number of clients": Protection("F10", "a client costs nothing", _one_client_only),
+    "checksum on the line": Protection("F11", "a damaged block is thrown away", _no_crc_on_the_line),
+    "reconnect": Protection("F12", "a controller that comes back is taken back", _no_reconnect),
+    "boot id": Protection("F13", "a controller that restarted is not trusted", _no_boot_id),
+    "handshake": Protection("F14", "another firmware is refused", _no_handshake),
+    "lease": Protection("F15", "the controller holds when it does not hear the host", _no_lease),
     "retake": Protection("F16", "a lost frame is taken again", _no_retake),
     "ledger": Protection("F17", "frames are paired by ids", _no_ledger),
     "retake after a restart": Protection("F18", "a lost frame is taken again", _no_retake),
     "format check": Protection("F19", "a frame of another shape is refused", _no_format_check),
+    "checksum on arrival": Protection("F19", "a frame that changed on its way is refused", _no_crc_on_arrival),
     "bounds of messages": Protection("F20", "messages are checked at the boundary", _no_bounds),
     "calibration check": Protection("F21", "a calibration that cannot be meant is refused", _no_calibration_check),
     "monotonic clock": Protection("F22", "time-outs go by the monotonic clock", _wall_clock),
+    "alarm": Protection("F23", "an alarm of the controller ends the sweep", _no_alarm),
     "signal handler": Protection("F24", "a service that is told to end says an end", _no_signal_handler),
     "verification": Protection("F25", "frames are compared with their checksums", _no_verification),
     "lock": Protection("F26", "one process of a kind", _no_lock),
