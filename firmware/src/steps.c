@@ -39,6 +39,17 @@ void steps_init(void)
     TIMSK1 = _BV(TOIE1) | _BV(ICIE1);
 }
 
+/* Clears the flag of a match. An overflow that waits for its interrupt is counted here and cleared along: simavr 1.6 drops
+ * it whenever any flag of the timer is cleared, and all later time stamps would be early by one overflow. */
+static inline void clear_match(uint8_t flag)
+{
+    if (TIFR1 & _BV(TOV1)) {
+        overflows++;
+        flag |= _BV(TOV1);
+    }
+    TIFR1 = flag;
+}
+
 /* After a match the compare latch is high and must be low again before it is connected for the next edge. A forced match
  * in toggle mode does that; then the pin is disconnected and shows its port bit, which is 0. (A forced match in clear mode
  * would do too, but simavr 1.6 moves a pin in clear mode at every write to a compare register.) */
@@ -86,7 +97,7 @@ static void trigger_rose(void)
     PORTB |= _BV(TRIGGER_PIN);
     TCCR1A &= ~COM_B; /* the port holds it high from here */
     OCR1B = fall;
-    TIFR1 = _BV(OCF1B);
+    clear_match(_BV(OCF1B));
     trigger_state = TRIGGER_HIGH;
     if ((int16_t)(fall - TCNT1) < MARGIN / 2)
         trigger_low();
@@ -124,7 +135,7 @@ static void arm_trigger(uint16_t at, int32_t where)
     trigger_due = at;
     trigger_position = where;
     OCR1B = at;
-    TIFR1 = _BV(OCF1B);
+    clear_match(_BV(OCF1B));
     TCCR1A |= COM_B;
     TIMSK1 |= _BV(OCIE1B);
     trigger_state = TRIGGER_ARMED;
@@ -214,7 +225,7 @@ void steps_start(void)
             entry = 0;
             due = TCNT1 + 4 * MARGIN;
             OCR1A = due;
-            TIFR1 = _BV(OCF1A);
+            clear_match(_BV(OCF1A));
             TIMSK1 |= _BV(OCIE1A);
         }
     }

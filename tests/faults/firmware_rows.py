@@ -29,6 +29,7 @@ PACE = 4.0
 RATE_HZ = 15.0
 """Triggers in one second of the controller."""
 CPU_HZ = 16_000_000
+CLOCK_CYCLES = 16
 HALT_S = 0.3
 """Time of the controller that it takes to notice and to come to rest."""
 EMULATED = {
@@ -120,6 +121,9 @@ def assert_pins(folder: Path, without: frozenset[int] = frozenset()) -> frozense
     for k in present - without:
         place = true[int(triggers[k])]
         assert place == STEPS * k, f"frame {k} was taken at {place}"
+    # one clock, one offset; edges are seen between two instructions
+    offsets = [pair["true_cycles"] - pair["counted_cycles"] for pair in pairs]
+    assert max(offsets) - min(offsets) <= CLOCK_CYCLES, f"times of triggers are off by {max(offsets) - min(offsets)}"
     return present
 
 
@@ -131,7 +135,7 @@ def noise_on_the_line(rig: Rig) -> None:
         scan = rig.begin(client)
         rig.at *= 0.3
         rig.moment(client)
-        bench.knob("noise 0.002")
+        bench.knob("noise 0.004")
         complete(rig, client, scan)
         bench.knob("noise 0")
         assert_pins(Path(scan["path"]))
