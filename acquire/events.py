@@ -65,5 +65,8 @@ class StopRequested:
 class Tick:
     """Time has passed."""
 
+    sound_ns: int | None = None
+    """``StageStatus.sound_ns``."""
+
 
 SweepEvent = StageEvent | CameraFrame | CameraGone | LaneEvent | PauseRequested | ResumeRequested | StopRequested | Tick

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
 from acquire.contract.faults import report
-from acquire.contract.messages import FaultReport
+from acquire.contract.messages import FaultReport, Role
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.contract.units import NS_PER_S
 from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Triggered
@@ -54,6 +54,7 @@ from .lamp_watch import LampWatch
 from .lockstep import Shot
 from .overlap import compare_overlap, overlap_picture
 from .shooting import Shooting
+from .unproven import Unproven
 
 
 class Phase(Enum):
@@ -81,6 +82,7 @@ COUNTERS: tuple[str, ...] = (
     "extra",
     "damaged",
     "lost",
+    "doubtful",
     "check_triggers",
     "check_frames",
 )
@@ -117,6 +119,10 @@ class Sweep:
     position_steps: int = 0
     """Where the stage was last heard of, in microsteps."""
     _resting: bool = True
+    _just_proven: bool = False
+    """Frames were sent on their way by this very tick: the window does not know them yet."""
+    _deaf: bool = False
+    """The controller has failed: no frame that comes now can be trusted."""
     _skip_checks: bool = False
     _deadline_ns: int | None = None
     _first_pixels: NDArray[Any] | None = None
@@ -129,6 +135,7 @@ class Sweep:
         self.settings = self.shooting.settings
         self.window = self.shooting.window
         self.count = self.settings.plan.count
+        self._unproven = Unproven(self.settings.needs_proof)
         self._light = LampWatch((1 << self.settings.format.bit_depth) - 1)
 
     # ---- the door ----
@@ -211,8 +218,10 @@ class Sweep:
         found = compare_overlap(resume.stored, event.pixels, resume.before, self.settings.plan.pitch_steps)
         self.checks |= found.as_checks()
         self._complaint = found.complaint(resume.limits)
-        image = image_of_shot(event, shot, self.settings, "overlap")
-        return [Publish(image, event.pixels), Attach("overlap.png", overlap_picture(resume.stored, event.pixels))]
+        return [
+            *self._offer(event, shot, "overlap"),
+            Attach("overlap.png", overlap_picture(resume.stored, event.pixels)),
+        ]
 
     def _after_overlap(self, now_ns: int) -> list[Action]:
         if not self._complaint:
@@ -246,6 +255,8 @@ class Sweep:
 
     def _on_frame(self, event: CameraFrame, now_ns: int) -> list[Action]:
         self.counters["received" if self.phase not in _CHECKS else "check_frames"] += 1
+        if self._deaf:
+            return []
         if self.phase is Phase.AMBIENT:
             return self._take_ambient(event, now_ns)
         pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns)
@@ -267,14 +278,27 @@ class Sweep:
         if self.phase is Phase.REPEAT:
             assert self._first_pixels is not None
             self.checks |= measure_drift(self._first_pixels, event.pixels)
-            return [Publish(image_of_shot(event, shot, self.settings, "repeat"), event.pixels)]
+            return self._offer(event, shot, "repeat")
         if self.phase is Phase.OVERLAP:
             return self._take_overlap(event, shot)
         self.shooting.paired.add(shot.frame_index)
         if shot.frame_index == 0:
             self._first_pixels = event.pixels
-        publish = Publish(image_of_shot(event, shot, self.settings), event.pixels)
-        return [publish, *self._look_at_light(event, shot.frame_index), *self._grant(now_ns)]
+        return [*self._offer(event, shot), *self._look_at_light(event, shot.frame_index), *self._grant(now_ns)]
+
+    def _offer(self, event: CameraFrame, shot: Shot, role: Role = "sweep") -> list[Action]:
+        """On its way at once, or when the controller has been heard after the exposure."""
+        publish = Publish(image_of_shot(event, shot, self.settings, role), event.pixels)
+        began_ns = event.exposure_start_ns or shot.at_mono_ns
+        return [*self._unproven.add(publish, began_ns + self.settings.exposure_ns)]
+
+    def _drop_doubtful(self) -> None:
+        """The controller stopped by itself: what was not proven before may show it: it is taken again, or missing."""
+        for frame_index in self._unproven.drop():
+            self.counters["doubtful"] += 1
+            self.shooting.paired.discard(frame_index)
+        self.counters["doubtful"] += len(self.shooting.ledger.drop_all())
+        self._deaf = True
 
     def _look_at_light(self, event: CameraFrame, frame_index: int) -> list[Action]:
         """In another light S is wrong for every pixel: hold, and let the operator decide."""
@@ -449,6 +473,7 @@ class Sweep:
     def _on_alarm(self, event: Alarm, now_ns: int) -> list[Action]:
         # the controller stands already: nothing more will be heard of the activity
         self.silent = False
+        self._drop_doubtful()
         self.position_steps, self._resting, self.shooting.segment_done = event.position_steps, True, True
         outcome = Outcome.INTERRUPTED if event.code in _CAN_BE_RESUMED else Outcome.ABORTED
         return self._give_up(outcome, event.detail, event.code, now_ns)
@@ -482,13 +507,15 @@ class Sweep:
     # ---- time ----
 
     def _on_tick(self, event: Tick, now_ns: int) -> list[Action]:
+        proven: list[Action] = [*self._unproven.proven(event.sound_ns)]
+        self._just_proven = bool(proven)
         late = self.shooting.ledger.overdue(now_ns)
         if late:
-            return self._lose(late, "its frame did not come in time", "F16", now_ns)
+            return proven + self._lose(late, "its frame did not come in time", "F16", now_ns)
         if self._deadline_ns is None or now_ns < self._deadline_ns:
-            return []
+            return proven
         self._deadline_ns = None
-        return self._time_is_up(now_ns)
+        return proven + self._time_is_up(now_ns)
 
     def _time_is_up(self, now_ns: int) -> list[Action]:
         if self.phase is Phase.WARM_UP:
@@ -502,6 +529,7 @@ class Sweep:
             reason = self.reason if self.outcome is Outcome.INTERRUPTED else "F03 the writer did not seal in time"
             return self._abandon(Outcome.INTERRUPTED, reason, self._report("F03"))
         self._resting = True  # nothing is waited for any more; what it still hears, it shall do
+        self._drop_doubtful()
         self.shooting.segment_done = True
         return [StopStage(), *self._give_up(Outcome.INTERRUPTED, "the stage does not answer", "F12", now_ns)]
 
@@ -525,7 +553,7 @@ class Sweep:
             return self._check_limit(now_ns)
         if self.phase is Phase.STOPPING and self._resting and not self.shooting.ledger.pending:
             return self._after_stop(now_ns)
-        if self.phase is Phase.DRAIN and self.window.is_settled():
+        if self.phase is Phase.DRAIN and not self._unproven and not self._just_proven and self.window.is_settled():
             return self._finish(now_ns)
         return []
 

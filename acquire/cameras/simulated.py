@@ -39,12 +39,27 @@ class SimulatedCamera:
         self._armed = False
         self._frame_id = 0
         self._taken: Counter[int] = Counter()
-        self.lamp_on = False
+        self._lamp = (False, 0, False)
+        """On or off now, since when (CLOCK_MONOTONIC, ns), and what it was before."""
         self.where: Callable[[], float] = lambda: 0.0
         """Says where the projector stands, in microsteps, when a software trigger comes."""
         self.lost_exposures = 0
         self.scene: Scene | None = None
         self._faults = ScriptedFaults(parse_script(simulation.faults))
+
+    @property
+    def lamp_on(self) -> bool:
+        """What the lamp is now."""
+        return self._lamp[0]
+
+    @lamp_on.setter
+    def lamp_on(self, on: bool) -> None:
+        self._lamp = (on, time.clock_gettime_ns(time.CLOCK_MONOTONIC), self._lamp[0])
+
+    def _lit_at(self, at_ns: int) -> bool:
+        """What it was at a moment that is not long ago: a picture is made a little after its exposure."""
+        on, since_ns, before = self._lamp
+        return on if at_ns >= since_ns else before
 
     def open(self, sink: CameraSink) -> CameraInfo:
         """Build the scene and start to deliver."""
@@ -111,7 +126,7 @@ class SimulatedCamera:
             self._taken[round(position_steps)] += 1
             pixels = self._renderer.render(
                 position_steps,
-                lamp=self._faults.lamp if self.lamp_on else 0.0,
+                lamp=self._faults.lamp if self._lit_at(at_ns + self._exposure_ns) else 0.0,
                 room=self._faults.room,
                 exposure_ms=self._settings.exposure_ms,
                 gain=self._settings.gain,
@@ -122,9 +137,12 @@ class SimulatedCamera:
             for event in self._faults.deliver(CameraFrame(pixels, camera_frame_id, at_ns)):
                 self._sink(event)
 
+    @property
+    def _exposure_ns(self) -> int:
+        return round(self._settings.exposure_ms * 1e6 * self._config.simulation.time_scale)
+
     def _wait_for_exposure(self, at_ns: int) -> None:
         """A picture is there at the earliest when its exposure is over."""
-        exposure_s = self._settings.exposure_ms / 1000 * self._config.simulation.time_scale
-        remaining_s = at_ns / 1e9 + exposure_s - time.monotonic()
+        remaining_s = (at_ns + self._exposure_ns) / 1e9 - time.monotonic()
         if remaining_s > 0:
             time.sleep(remaining_s)

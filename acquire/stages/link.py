@@ -201,8 +201,11 @@ class Link:
         self._wait(port)
         self._read(port)
         self._watch_silence()
-        body = self._handler.poll()
-        if body is not None and not self._window.holds(Cmd.STATUS):
+        # one question at a time: the next report answers it, or was made even later
+        with self._lock:
+            asked = self._window.holds(Cmd.STATUS)
+        body = None if asked else self._handler.poll()
+        if body is not None:
             with self._lock:
                 self._window.put(Command(Cmd.STATUS, body))
 

@@ -76,6 +76,7 @@ class UnoReports:
         self._held_for = McuHold.NONE
         self._lost_since_s: float | None = None
         self._alive_s = self._polled_s = self._resumed_s = 0.0
+        self._asked_ns = self._sound_ns = 0
         self.strobes = 0
         """Strobes that the firmware has seen since its start."""
 
@@ -94,6 +95,7 @@ class UnoReports:
             moving=moving,
             triggers=report.triggers,
             lamp_on=bool(report.flags & Flag.LAMP),
+            sound_ns=self._sound_ns,
             damaged_blocks=self._link.counters()["damaged"],
         )
 
@@ -131,6 +133,7 @@ class UnoReports:
         if now_s - self._polled_s < every_s or (active and not self._host_lives(now_s)):
             return None
         self._polled_s = now_s
+        self._asked_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         return StatusBody(seen).pack()
 
     def _host_lives(self, now_s: float) -> bool:
@@ -144,6 +147,9 @@ class UnoReports:
             fired = self._take_events(events)
         for event in fired:
             self._sink(event)
+        if report.state != McuState.ALARM:
+            # it was made after it was asked for, whenever that was exactly
+            self._sound_ns = self._asked_ns
         if self._activity is None:
             return
         if report.state in (McuState.IDLE, McuState.ALARM):

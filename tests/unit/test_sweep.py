@@ -7,12 +7,12 @@ import pytest
 
 from acquire.contract.messages import AckItem, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
-from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, WriterReady
+from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
 from acquire.overlap import OverlapLimits
 from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Held, Triggered
 
-from .sweep_bench import bench, done
+from .sweep_bench import MS, bench, done
 
 
 def test_an_undisturbed_sweep_takes_each_frame_once_at_its_place():
@@ -174,6 +174,32 @@ def test_a_controller_that_holds_by_itself_is_told_of_and_the_sweep_goes_on_with
     on.acking = True
     on.ack_all()
     assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+
+
+def test_a_frame_counts_only_when_the_controller_was_heard_after_its_exposure():
+    on = bench(4, needs_proof=True)
+    on.start()
+    assert [image.role for image in on.published] == ["ambient"], "an exposure takes 10 ms"
+    on.feed(Tick(on.now_ns + 9 * MS))
+    assert len(on.published) == 1
+    on.feed(Tick(on.now_ns + 10 * MS))
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+    assert [image.frame_index for image in on.published[1:]] == [0, 1, 2, 3, 0]
+
+
+@pytest.mark.parametrize(("code", "outcome"), [("F23", Outcome.ABORTED), ("F13", Outcome.INTERRUPTED)])
+def test_a_frame_that_was_exposed_while_the_controller_stopped_by_itself_is_missing(code, outcome):
+    on = bench(20, slots=4, needs_proof=True)
+    on.start()
+    on.feed(Tick(on.now_ns + 10 * MS))
+    taken = len([image for image in on.published if image.role == "sweep"])
+    on.feed(Alarm(code, "the lamp went out", 33, position_trusted=False))
+    on.feed(Tick(on.now_ns + 10**12))
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is outcome
+    assert len([image for image in on.published if image.role == "sweep"]) == taken
+    assert on.end is not None and on.end.end.missing == [(taken, 19)] and on.sweep.counters["doubtful"] > 0
 
 
 def test_a_frame_that_the_file_will_never_take_ends_the_sweep_by_name_instead_of_blocking_it():
