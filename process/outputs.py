@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +17,14 @@ from acquire.contract.layout import CLOUD_NAME, MAPS_NAME, REPORT_NAME, TRUTH_NA
 from acquire.contract.states import SEALED_OUTCOMES
 
 from .cloud import Cloud, make_cloud, write_ply
-from .crossings import Maps
+from .crossings import Maps, full_scale
 from .cursor import CursorCounts, FoldCursor
 from .estimates.early import EarlyEstimates
 from .estimates.filters import filtered
-from .estimates.refine import refine
+from .estimates.noise import assumed_noise
+from .estimates.refine import Refined, refine
 from .estimates.weighing import Sequence
+from .findings import NoiseFound, age_warning, calibration_used, damage, no_cloud, noise_found, quality_warnings
 from .fold import Fold
 from .frames import ScanFrames
 from .geometry import coordinates, plane_table, rays
@@ -42,6 +42,7 @@ from .report import (
 )
 from .results import MapsSource, read_source, write_maps
 from .settings import Settings
+from .timings import Timings
 
 logger = logging.getLogger(__name__)
 
@@ -72,22 +73,6 @@ class ResultPaths:
     def report(self) -> Path:
         """report.json."""
         return self.folder / REPORT_NAME
-
-
-@dataclass
-class Timings:
-    """Seconds per stage, summed."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Add the time of the block to ``name``."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 @dataclass(frozen=True)
@@ -147,7 +132,8 @@ def write_results(
     """
     paths = ResultPaths(folder)
     with timings.stage("maps"):
-        maps = final_maps(cursor, frames, settings, early)
+        refined = final_maps(cursor, frames, settings, early)
+        maps = refined.maps
     with timings.stage("cloud"):
         cloud = cloud_of(maps, settings, cursor.folded, frames.positions_um())
     digest = frames.digest()
@@ -158,6 +144,8 @@ def write_results(
     with timings.stage("write_maps"):
         write_maps(paths.maps, maps, settings, source)
     with timings.stage("report"):
+        noise = _noise(refined, settings, frames)
+        calibration = calibration_used(settings, frames.layout.start_time)
         report = Report(
             counts=counts(frames.status(), cursor.counts, maps.counts, cloud) | (more_counts or {}),
             timings_s={},
@@ -166,10 +154,18 @@ def write_results(
             outcome=outcome,
             digest=digest,
             sweep=checks if checks != NOT_MEASURED else _earlier_checks(frames, digest),
-            warnings=[*settings.warnings, *damage(frames), *_no_cloud(settings, cloud, paths)],
+            warnings=[
+                *settings.warnings,
+                *damage(frames.damaged),
+                *no_cloud(settings, cloud is not None, paths.cloud),
+                *age_warning(settings, calibration),
+                *quality_warnings(maps.counts, noise),
+            ],
             settings=_settings(settings),
             versions=versions(frames.layout.program_version),
             truth=_truth(frames, cloud, settings) if compare else None,
+            noise=noise,
+            calibration=calibration,
         )
     report = msgspec.structs.replace(report, timings_s={k: round(v, 6) for k, v in timings.seconds.items()})
     write_report(paths.report, report)
@@ -181,7 +177,9 @@ def sequence_of(frames: ScanFrames, present: NDArray[np.int64], settings: Settin
     return Sequence(frames.columns_of(present), present, settings.edge, frames.layout.format.bit_depth)
 
 
-def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings, early: EarlyEstimates | None = None) -> Maps:
+def final_maps(
+    cursor: FoldCursor, frames: ScanFrames, settings: Settings, early: EarlyEstimates | None = None
+) -> Refined:
     """The maps of all frames folded, by the method of the settings; what the fold does not know is in the file.
 
     early: estimates of the same frames that were made while they came; they change nothing but the time this takes.
@@ -199,10 +197,18 @@ def final_maps(cursor: FoldCursor, frames: ScanFrames, settings: Settings, early
         noise_counts=settings.noise_counts,
         read_columns=lambda pixels: (present, frames.columns(present, pixels)),
     )
-    if settings.method == "linear":
-        return maps  # the paper's estimate, as it is: neither filtered nor weighed
     sequence = sequence_of(frames, present, settings)
-    return filtered(refine(maps, settings.method, sequence, settings.noise_counts, early).maps)
+    if settings.method == "linear":  # the paper's estimate, as it is: neither filtered nor weighed
+        return Refined(maps, assumed_noise(settings.noise_counts), np.full(maps.mask.shape, np.nan, np.float32))
+    refined = refine(maps, settings.method, sequence, settings.noise_counts, early)
+    return dataclasses.replace(refined, maps=filtered(refined.maps))
+
+
+def _noise(refined: Refined, settings: Settings, frames: ScanFrames) -> NoiseFound | None:
+    if settings.method == "linear":
+        return None
+    full = full_scale(frames.layout.format.bit_depth) if settings.edge == "falling" else 0
+    return noise_found(refined.noise, full)
 
 
 def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) -> Results | None:
@@ -219,7 +225,7 @@ def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) 
     )
     if not of_this or frames.outcome not in SEALED_OUTCOMES:
         return None
-    maps = final_maps(cursor, frames, settings)
+    maps = final_maps(cursor, frames, settings).maps
     return Results(paths, cloud_of(maps, settings, cursor.folded, frames.positions_um()), report)
 
 
@@ -262,21 +268,6 @@ def counts(
         "refolded": cursor.refolded,
         **{_BITS.get(key, key): number for key, number in maps.items()},
     }
-
-
-def damage(frames: ScanFrames) -> list[str]:
-    """Warnings about frames that are committed but cannot be trusted."""
-    if not frames.damaged:
-        return []
-    named = ", ".join(str(k) for k in sorted(frames.damaged)[:5])
-    return [f"{len(frames.damaged)} frames do not have their checksum and were left out: {named}"]
-
-
-def _no_cloud(settings: Settings, cloud: Cloud | None, paths: ResultPaths) -> list[str]:
-    if cloud is not None:
-        return []
-    stale = [f"{paths.cloud} is left from an earlier run, it does not belong to these maps"]
-    return [settings.what_is_missing] + (stale if paths.cloud.exists() else [])
 
 
 def _earlier_checks(frames: ScanFrames, digest: str) -> SweepChecks:

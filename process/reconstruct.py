@@ -14,8 +14,9 @@ from acquire.contract.scan_reader import ScanLayout
 
 from .cursor import FoldCursor
 from .frames import ScanFrames
-from .outputs import ResultPaths, Results, Timings, new_fold, write_results
+from .outputs import ResultPaths, Results, new_fold, write_results
 from .settings import ReconstructOptions, Recorded, settle
+from .timings import Timings
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames of the plan)."""

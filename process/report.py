@@ -20,6 +20,7 @@ from acquire.contract.plan import SweepPlan
 from acquire.contract.units import UM_PER_MM
 
 from .cloud import Cloud
+from .findings import CalibrationUsed, NoiseFound
 from .replacing import replacing
 
 HISTOGRAM_BINS = 256
@@ -76,6 +77,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     settings: dict[str, Any]
     versions: dict[str, str]
     truth: TruthErrors | None = None
+    noise: NoiseFound | None = None
+    """None where the estimate does not ask for it (linear)."""
+    calibration: CalibrationUsed | None = None
+    """None without one, and in reports of earlier versions."""
     contrast_histogram: list[int]
     """Pixels by brightness range max - min in counts of 8 bit, 256 bins."""
 

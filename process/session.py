@@ -21,8 +21,9 @@ from .ending import Ending
 from .frames import ScanFrames, displayed, open_frames
 from .geometry import rays
 from .live_gate import LiveGate
-from .outputs import Results, Timings, new_fold, refresh_report, results_on_disk, write_results
+from .outputs import Results, new_fold, refresh_report, results_on_disk, write_results
 from .preview import Preview, ShownCounts, make_preview
+from .timings import Timings
 
 logger = logging.getLogger(__name__)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,6 +69,10 @@ class Settings:
     """Standard deviation of a pixel's noise in counts of 8 bit."""
     calibration: Calibration | None
     warnings: tuple[str, ...] = ()
+    calibration_source: str = ""
+    """``the scan``, or the name of the file given instead; empty without one."""
+    calibration_sha256: str = ""
+    """Of its text."""
 
     @property
     def live_method(self) -> Literal["linear", "probit"]:
@@ -95,7 +100,7 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
         ConfigError: a flag out of bounds.
         ScanFileError: the recorded configuration cannot be read.
     """
-    calibration = _calibration(recorded, options)
+    calibration, source, text = _calibration(recorded, options)
     warnings = _check(calibration, recorded, options) if calibration else []
     plane = calibration.light_plane if calibration else None
     edge = _edge(options, plane)
@@ -118,6 +123,8 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
         noise_counts=checked.noise_counts,
         calibration=calibration,
         warnings=tuple(warnings),
+        calibration_source=source,
+        calibration_sha256=hashlib.sha256(text.encode()).hexdigest() if calibration else "",
     )
 
 
@@ -125,12 +132,15 @@ METHODS = ("linear", "probit", "fit", "auto")
 _FLAGS = ("contrast", "median", "method")
 
 
-def _calibration(recorded: Recorded, options: ReconstructOptions) -> Calibration | None:
+def _calibration(recorded: Recorded, options: ReconstructOptions) -> tuple[Calibration | None, str, str]:
+    """The calibration, where it is from, and its text."""
     if options.calibration is not None:
-        return load_calibration(options.calibration)[0]
-    if recorded.calibration_json.strip() in ("", "{}"):
-        return None
-    return parse_calibration(recorded.calibration_json, "the calibration recorded in the scan")
+        found, text = load_calibration(options.calibration)
+        return found, options.calibration.name, text
+    text = recorded.calibration_json
+    if text.strip() in ("", "{}"):
+        return None, "", ""
+    return parse_calibration(text, "the calibration recorded in the scan"), "the scan", text
 
 
 def _check(calibration: Calibration, recorded: Recorded, options: ReconstructOptions) -> list[str]:

@@ -65,29 +65,34 @@ def occluding_edges(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return edge
 
 
+def points_of(results: Path, calibration: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points [h, w, 3] in mm of maps.h5, which of them are in the cloud, and the quality bits."""
+    with h5py.File(results / "maps.h5") as file:
+        crossing, quality = file["crossing"][()], file["quality"][()]
+    found = load_calibration(calibration)[0]
+    plane, view = found.light_plane, rays(found.camera)
+    assert plane is not None
+    plan = plan_of()
+    t = crossing + 1 if plane.parameter == "frame" else crossing * plan.pitch_steps * plan.um_per_microstep
+    at = planes_at(plane, t.ravel())
+    distance = (at[:, 3] - at[:, :3] @ view.centre_mm) / (at[:, :3] * view.directions).sum(axis=1)
+    points = view.centre_mm + distance[:, None] * view.directions
+    return points.reshape(*crossing.shape, 3), np.isfinite(crossing) & ((quality & LEFT_OUT) == 0), quality
+
+
 def measure(folder: Path, calibration: Path, results: Path) -> Measured:
     """Compare the points of maps.h5 in ``results`` with truth.h5 in ``folder``."""
     with h5py.File(folder / "truth.h5") as file:
         truth, normals = file["points"][()], file["normals"][()]
         wanted = (file["visible"][()] > 0) & (file["amplitude"][()] >= CONTRAST)
-    with h5py.File(results / "maps.h5") as file:
-        crossing, quality = file["crossing"][()], file["quality"][()]
-    found = load_calibration(calibration)[0]
-    plane, camera = found.light_plane, found.camera
-    good = np.isfinite(crossing) & ((quality & LEFT_OUT) == 0)
-    t = crossing + 1 if plane.parameter == "frame" else crossing * plan_of().pitch_steps * plan_of().um_per_microstep
-    coefficients = planes_at(plane, t.ravel())
-    view = rays(camera)
-    distance = (coefficients[:, 3] - coefficients[:, :3] @ view.centre_mm) / (
-        coefficients[:, :3] * view.directions
-    ).sum(axis=1)
-    error = (view.centre_mm + distance[:, None] * view.directions).reshape(truth.shape) - truth
+    points, good, quality = points_of(results, calibration)
+    error = points - truth
     away = cv2.distanceTransform((~occluding_edges(truth, normals)).astype(np.uint8), cv2.DIST_L2, 5) > NEAR_EDGE_PX
     wanted &= away
     used = wanted & good
     size_um = np.linalg.norm(error[used], axis=1) * 1000
     rest = quality[wanted & ~good]
-    bits = {bit.name.lower(): int(((rest & bit) != 0).sum()) for bit in Quality if bit.name}
+    bits = {str(bit.name).lower(): int(((rest & bit) != 0).sum()) for bit in Quality}
     return Measured(
         name=folder.name,
         wanted=int(wanted.sum()),
@@ -98,6 +103,18 @@ def measure(folder: Path, calibration: Path, results: Path) -> Measured:
         worst_bias_um=worst_bias_um(truth[used], error[used]),
         bits={name: count for name, count in bits.items() if count},
         near_edges=int((good & np.isfinite(truth[..., 0]) & ~away).sum()),
+    )
+
+
+def compare(name: str, step: Path, fly: Path, calibration: Path) -> None:
+    """Prints by how much the points of two sweeps with the same noise differ."""
+    (one, good, _), (other, also_good, _) = points_of(step, calibration), points_of(fly, calibration)
+    apart = (other - one)[good & also_good] * 1000
+    size = np.linalg.norm(apart, axis=1)
+    print(
+        f"{name}, fly against step: mean {np.linalg.norm(apart.mean(axis=0)):.3f} um, "
+        f"median {np.median(size):.3f} um, 95 % below {np.percentile(size, 95):.3f} um",
+        flush=True,
     )
 
 
@@ -150,21 +167,22 @@ def main() -> None:
     print("| --- " * 8 + "|")
     for name in options.objects:
         for seed in options.seeds:
-            for fly in (False, True) if options.fly else (False,):
-                show(one(options.folder, board, calibration, name, seed, fly, options.method))
+            thing = msgspec.structs.replace(board, object=name, seed=seed)
+            scan = options.folder / (name if seed == 1 else f"{name}-{seed}")
+            step = one(scan, thing, calibration, options.method, fly=False)
+            if options.fly:
+                fly = one(scan.with_name(f"{scan.name}-fly"), thing, calibration, options.method, fly=True)
+                compare(scan.name, step, fly, calibration)
 
 
-def one(
-    folder: Path, board: SimulationConfig, calibration: Path, name: str, seed: int, fly: bool, method: str
-) -> Measured:
-    """Sweep one object, reconstruct, measure."""
-    scan = folder / (name + (f"-{seed}" if seed != 1 else "") + ("-fly" if fly else ""))
-    config = msgspec.structs.replace(board, object=name, seed=seed)
+def one(scan: Path, thing: SimulationConfig, calibration: Path, method: str, *, fly: bool) -> Path:
+    """Sweep an object if that was not done, reconstruct, print a row; returns the folder of the results."""
     if not (scan / "truth.h5").exists():
-        simulate_sweep(scan, config, size=SIZE, with_truth=True, travel_share=0.9 if fly else 0.0)
+        simulate_sweep(scan, thing, size=SIZE, with_truth=True, travel_share=0.9 if fly else 0.0)
     results = scan / f"results-{method}"
     run(["reconstruct", str(scan), "--calibration", str(calibration), "--method", method, "--out", str(results)])
-    return measure(scan, calibration, results)
+    show(measure(scan, calibration, results))
+    return results
 
 
 def show(row: Measured) -> None:

@@ -11,8 +11,11 @@ import pytest
 
 from acquire.contract.calibration import PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import ScanFileError
+from acquire.contract.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
 from process.cloud import Cloud
+from process.estimates.noise import NoiseModel
+from process.findings import NoiseFound, age_warning, calibration_used, noise_found, quality_warnings
 from process.report import (
     Report,
     Speed,
@@ -24,6 +27,8 @@ from process.report import (
     truth_errors,
     write_report,
 )
+from process.settings import ReconstructOptions, Recorded, Settings, settle
+from tests.fakes.sweep_source import calibration_json
 
 PLAN = SweepPlan(0, 30, 3, 3.175)
 
@@ -144,3 +149,63 @@ def test_a_report_that_cannot_be_read_is_named(tmp_path):
 
 def test_only_the_checks_that_were_measured_are_taken():
     assert checks_of({"drift_px": 1.0, "other": 2.0}) == SweepChecks(drift_px=1.0)
+
+
+FOUND = {"crossings": 1000, "saturated": 0, "plateau_not_reached": 0, "no_dark_level": 0, "lit_at_start": 0}
+FOUND |= {"several": 0, "filtered": 0}
+
+
+def test_a_scan_without_peculiarities_is_not_warned_of():
+    assert quality_warnings(FOUND, NoiseFound(1.0, 0.0, measured=True)) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("saturated", "less exposure"),
+        ("plateau_not_reached", "sweep further"),
+        ("no_dark_level", "stray light"),
+        ("lit_at_start", "begin the sweep earlier"),
+        ("several", "reflections"),
+        ("filtered", "more light"),
+    ],
+)
+def test_what_many_pixels_have_in_common_is_said_in_words(name, word):
+    (said,) = quality_warnings(FOUND | {name: 123}, None)
+    assert said.startswith("123 pixels (12.3 % of the crossings)") and word in said
+
+
+def test_noise_that_was_not_measured_is_said():
+    (said,) = quality_warnings(FOUND, NoiseFound(2.0, 0.0, measured=False))
+    assert "noise_counts, 2 counts" in said
+
+
+def test_the_noise_of_a_falling_edge_is_that_of_the_frames():
+    rising = noise_found(NoiseModel(4.0 + 1 / 12, 0.05, measured=True), 0)
+    falling = noise_found(NoiseModel(4.0 + 1 / 12 + 0.05 * 255, -0.05, measured=True), 255)
+    assert rising.read == pytest.approx(2.0) and rising.shot == 0.05
+    assert falling.read == pytest.approx(2.0) and falling.shot == pytest.approx(0.05)
+
+
+def calibrated(created: str | None, days: float | None) -> Settings:
+    text = calibration_json(64, 48)
+    valid = {"valid_for": {"created_utc": created, "days": days}}
+    document = json.dumps(json.loads(text) | valid)
+    form = FrameFormat(width=64, height=48, bit_depth=8)
+    return settle(Recorded(form, PLAN, "", document), ReconstructOptions())
+
+
+def test_the_calibration_used_has_an_age_and_an_old_one_is_warned_of():
+    settings = calibrated("2026-01-01T00:00:00Z", 30.0)
+    used = calibration_used(settings, "2026-02-10T12:00:00Z")
+    assert used is not None and used.source == "the scan" and len(used.sha256) == 64
+    assert used.age_days == 40.5
+    (said,) = age_warning(settings, used)
+    assert "40 days old" in said and "meant for 30" in said
+    assert age_warning(settings, calibration_used(settings, "2026-01-20T00:00:00Z")) == []
+
+
+@pytest.mark.parametrize("created", [None, "yesterday", "2026-01-01T00:00:00"])
+def test_a_calibration_of_unknown_age_has_none(created):
+    used = calibration_used(calibrated(created, 30.0), "2026-02-10T12:00:00Z")
+    assert used is not None and used.age_days is None

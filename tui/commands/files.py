@@ -39,7 +39,7 @@ def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
 @click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, in counts of 8 bit [70].")
 @click.option("--edge", type=click.Choice(["rising", "falling"]), help="Which way pixels change [the calibration's].")
 @click.option("--median", type=click.IntRange(0, 31), help="Side of the median on the mask, odd; 0 for none [5].")
-@click.option("--method", type=click.Choice(["linear", "probit", "fit", "auto"]), help="Crossing estimate [linear].")
+@click.option("--method", type=click.Choice(["linear", "probit", "fit", "auto"]), help="Crossing estimate [auto].")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for maps.h5, cloud.ply, report.json.")
 @click.option("--force", is_flag=True, help="Go on where flags and calibration contradict.")
 @json_option
