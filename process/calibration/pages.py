@@ -15,9 +15,12 @@ from matplotlib.figure import Figure
 from acquire.contract.errors import CalibrationError
 
 from .camera import CameraResult
+from .comparing import Difference
 from .plane_sweep import PlaneResult
+from .quarter_circle import QuarterCircle
 
 MAGNIFIED = 10.0
+TRACK_LIMIT_UM = 2.0
 _STYLE = "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto}img{max-width:100%}.bad{color:#b00020}"
 
 
@@ -31,6 +34,16 @@ def plane_page(result: PlaneResult, words: Sequence[str]) -> str:
     """Residual map of each surface, and the verdict in words."""
     verdict = "all surfaces agree within 1 um" if result.ok else "FAILED: the surfaces contradict each other"
     return _page("Light plane calibration", verdict, words, [_maps(result)], good=result.ok)
+
+
+def quarter_circle_page(result: QuarterCircle, words: Sequence[str], between: Difference | None) -> str:
+    """The corner's track with its residuals, the lengths of both edges, and how another light plane differs."""
+    figures = [] if not result.seen else [_track(result)]
+    if between is not None:
+        figures.append(_differences(between))
+    good = not result.seen or result.track_rms_um < TRACK_LIMIT_UM
+    verdict = "the corner moves straight" if good else "the corner's track scatters: an uneven flat, or a loose stage"
+    return _page("Light plane from the quarter circle", verdict, words, figures, good=good)
 
 
 def write_page(path: Path, page: str) -> None:
@@ -93,4 +106,35 @@ def _maps(result: PlaneResult) -> Figure:
         image = axes.imshow(surface.map_um, vmin=-limit, vmax=limit, cmap="RdBu", interpolation="nearest")
         axes.set_title(f"{surface.name}: residual, mean {surface.mean_um:+.2f} um, RMS {surface.rms_um:.2f} um")
         figure.colorbar(image, ax=axes, label="um")
+    return figure
+
+
+def _track(result: QuarterCircle) -> Figure:
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    t = np.array([seen.t for seen in result.seen])
+    corners = np.array([seen.corner for seen in result.seen])
+    off = 1000 * (corners - (result.origin + t[:, None] * result.velocity)[:, :2])
+    for axis, name in enumerate("xy"):
+        above.plot(t, off[:, axis], ".", markersize=3, label=name)
+    above.set(ylabel="um", title="corner: off its straight track")
+    above.legend()
+    for name, label in (("lead_end", "leading edge"), ("side_end", "the other edge")):
+        seen = [s for s in result.seen if getattr(s, name) is not None]
+        length = np.array([np.linalg.norm(getattr(s, name) - s.corner) for s in seen])
+        below.plot([s.t for s in seen], 1000 * (length - np.median(length)), ".", markersize=3, label=label)
+    below.set(xlabel=result.parameter, ylabel="um", title="lengths of the straight edges: off their median")
+    below.legend()
+    return figure
+
+
+def _differences(between: Difference) -> Figure:
+    figure = Figure(figsize=(9, 3), layout="constrained")
+    grid: Any = figure.subplots(1, len(between.heights_mm))
+    limit = max(float(np.abs(between.along_ray_um).max()), 0.5)
+    for axes, height, table in zip(grid, between.heights_mm, between.along_ray_um, strict=True):
+        image = axes.imshow(table, vmin=-limit, vmax=limit, cmap="RdBu")
+        axes.set(title=f"z = {height:g} mm", xticks=[], yticks=[])
+    figure.colorbar(image, ax=list(grid), label="um nearer")
+    figure.suptitle("by how much points differ from those of the other light plane, over the picture")
     return figure

@@ -85,15 +85,30 @@ def fold_sweep(
     name = layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem
     if clean:
         _refuse_faults(name, quality[mask != 0], int((mask != 0).sum()))
-    known = bool(np.isfinite(positions).all())
-    frame_t = positions if known else np.arange(1, layout.count + 1, dtype=np.float64)
+    frame_t, parameter = _coordinate(positions)
     if clean:
         crossing = np.where((quality & int(UNUSABLE)) == 0, crossing, np.nan)
     depth = 2.0 ** (layout.format.bit_depth - 8)
     return FoldedSweep(
         name, crossing, sigma.astype(np.float64), _pattern_picture(low, high, depth), frame_t,
-        "position_um" if known else "frame", layout.plan, layout.format,
+        parameter, layout.plan, layout.format,
     )  # fmt: skip
+
+
+def sweep_coordinate(scan: Path) -> tuple[F8, str]:
+    """Sweep coordinate of each frame [frames], and its unit: positions where all are known, else 1-based numbers.
+
+    Raises:
+        ScanFileError: no readable scan.
+    """
+    with ScanFrames(scan) as frames:
+        return _coordinate(frames.positions_um())
+
+
+def _coordinate(positions: F8) -> tuple[F8, str]:
+    if np.isfinite(positions).all():
+        return positions, "position_um"
+    return np.arange(1, len(positions) + 1, dtype=np.float64), "frame"
 
 
 def _pattern_picture(low: NDArray[np.generic], high: NDArray[np.generic], depth: float) -> NDArray[np.generic]:

@@ -1,4 +1,4 @@
-"""Subcommands of calibration: camera, light plane, checks, rezero, files of the original program."""
+"""Subcommands of calibration: camera, light plane by three ways, checks, rezero, files of the original program."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from .camera import camera
 from .checks import check, rezero
 from .original import import_original
 from .plane import plane, reference_planes_command, refit
+from .quarter_circle import quarter_circle
 
 
 @click.group()
@@ -15,7 +16,7 @@ def calibrate() -> None:
     """Calibrate camera and light plane, and check what they are worth."""
 
 
-for _command in (camera, plane, refit, reference_planes_command, check, rezero, import_original):
+for _command in (camera, plane, refit, quarter_circle, reference_planes_command, check, rezero, import_original):
     calibrate.add_command(_command)
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

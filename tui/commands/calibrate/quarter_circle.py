@@ -1,0 +1,130 @@
+"""The subcommand that calibrates the light plane from the slide's quarter circle on a white flat."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from acquire.contract.errors import CalibrationError
+from tui.commands.calibrate.options import PATH, force_option
+from tui.commands.context import json_option, print_json
+
+if TYPE_CHECKING:
+    from acquire.contract.calibration import Calibration
+    from process.calibration.comparing import Difference
+    from process.calibration.quarter_circle import QuarterCircle
+
+
+@click.command("quarter-circle")
+@click.argument("scan", type=PATH)
+@click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
+@click.option("--height-mm", type=float, default=0.0, show_default=True, help="Height of the white flat above z = 0.")
+@click.option("--points", type=PATH, help="Clicked points instead, JSON or CSV: point,frame,x,y.")
+@click.option("--compare", type=PATH, help="Calibration whose light plane is set beside this one [the camera's file].")
+@click.option("--hs-mm", type=float, default=3.81, show_default=True, help="Radius of the slide's quarter circle.")
+@click.option("--focal-mm", type=float, default=50.0, show_default=True, help="Focal length f of the projector's lens.")
+@click.option("--xb-mm", type=float, default=102.32, show_default=True, help="Distance xb of slide and lens.")
+@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@force_option
+@json_option
+def quarter_circle(
+    scan: Path,
+    camera_file: Path,
+    height_mm: float,
+    points: Path | None,
+    compare: Path | None,
+    hs_mm: float,
+    focal_mm: float,
+    xb_mm: float,
+    out: Path,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Calibrate the light plane from the slide's pattern, as it sweeps over a white flat.
+
+    The corner, both straight edges and the arc are found in every frame. Points given by hand are the fall-back:
+    corner in two frames or more, lead_end (end of the leading edge) and side_end (end of the other one)."""
+    from acquire.contract.calibration import load_calibration
+    from process.calibration.documents import read_document, utc_now, write_document
+    from process.calibration.pages import quarter_circle_page, write_page
+    from process.calibration.slide_optics import Slide
+
+    if min(hs_mm, focal_mm, xb_mm) <= 0:
+        raise CalibrationError("the sizes of the slide are positive: see --hs-mm, --focal-mm, --xb-mm")
+    known = load_calibration(camera_file)[0]
+    result = _found(scan, known, Slide(hs_mm, focal_mm, xb_mm), points, height_mm)
+    other = known if compare is None else load_calibration(compare)[0]
+    between = _between(other, result, known, named=compare is not None)
+    document = read_document(camera_file)
+    document["light_plane"] = result.document()
+    document["valid_for"] = {"created_utc": utc_now()}
+    words = quarter_circle_words(result, between)
+    write_document(out, document, force=force or out == camera_file)
+    page = out.with_name(f"{out.stem}-quarter-circle.html")
+    write_page(page, quarter_circle_page(result, words, between))
+    if as_json:
+        print_json({"out": out, "report": page, "light_plane": document["light_plane"], "difference": between})
+        return
+    click.echo("\n".join([*words, str(out), str(page)]))
+
+
+def _found(scan: Path, known: Calibration, slide: object, points: Path | None, height_mm: float) -> QuarterCircle:
+    from process.calibration.clicks import plane_from_clicks, read_clicks
+    from process.calibration.quarter_circle import find_quarter_circle
+    from process.calibration.sweeps import sweep_coordinate
+
+    if points is None:
+        return find_quarter_circle(scan, known.camera, slide, height_mm=height_mm)  # type: ignore[arg-type]
+    frame_t, parameter = sweep_coordinate(scan)
+    return plane_from_clicks(
+        read_clicks(points), known.camera, slide, frame_t=frame_t, parameter=parameter, height_mm=height_mm,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, named: bool) -> Difference | None:
+    import msgspec
+
+    from acquire.contract.calibration import TranslatingPlane
+    from process.calibration.comparing import difference
+
+    if not isinstance(other.light_plane, TranslatingPlane):
+        if named:
+            raise CalibrationError("--compare names a calibration without a light plane that translates")
+        return None
+    own = msgspec.convert(result.document(), TranslatingPlane)
+    return difference(other.light_plane, own, known.camera)
+
+
+def quarter_circle_words(result: QuarterCircle, between: Difference | None) -> list[str]:
+    """The result for people, one line each."""
+    import numpy as np
+
+    n, (lead, side) = result.normal, result.lengths_mm
+    unit = "um of travel" if result.parameter == "position_um" else "frame"
+    how = f"found in {len(result.seen)} frames" if result.seen else "from clicked points"
+    lines = [
+        f"corner {how}, {result.track_rms_um:.2f} um RMS about its straight track, "
+        f"{1000 * float(np.linalg.norm(result.velocity)):.5f} um per {unit}",
+        f"leading edge {lead:.4f} mm, the other {side:.4f} mm long (hp = {result.slide.hp_mm:.4f} mm): turned by "
+        f"{np.degrees(result.turns[0]):.2f} and {np.degrees(result.turns[1]):.2f} degrees (negative: it leads towards "
+        "the projector)",
+        f"normal ({n[0]:.5f}, {n[1]:.5f}, {n[2]:.5f})"
+        + ("" if not result.seen else f" +- {result.normal_sd_deg:.4f} degrees from the scatter over the frames"),
+        f"an edge that is wrong by 1 um turns the plane by {_per_um(result):.4f} degrees; sizes of the slide by more",
+    ]
+    if between is not None:
+        lines += between.words("the light plane from sweeps", "the quarter circle")
+    return lines
+
+
+def _per_um(result: QuarterCircle) -> float:
+    """Degrees by which theta changes with 1 um of the edge beside the leading one."""
+    import numpy as np
+
+    length = result.lengths_mm[1]
+    share = result.slide.hp_mm * np.cos(result.slide.half_angle) / length
+    return float(np.degrees(share / length / np.sqrt(max(1 - share**2, 1e-12)) * 1e-3))
