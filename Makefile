@@ -42,8 +42,9 @@ lint: $(TEST_STAMP)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
+# two at a time: most system tests wait for processes and deadlines; a file's tests stay together and in order
 test: system-packages $(TEST_STAMP) lint
-	$(PY) -m pytest
+	$(PY) -m pytest -n 2 --dist loadfile
 
 bench: $(STAMP)
 	$(VENV)/bin/sweepscope bench fold
