@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import appliance, calibrate, devices, files, rig, services, stage, tools
+from tui.commands import appliance, calibrate, devices, files, remote, rig, services, stage, tools
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -37,6 +37,7 @@ for _command in (
     *stage.COMMANDS,
     *tools.COMMANDS,
     *appliance.COMMANDS,
+    *remote.COMMANDS,
 ):
     cli.add_command(_command)
 

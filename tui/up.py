@@ -22,9 +22,10 @@ VITAL = ("daemon", "writer")
 URL_NAME = "viewer.url"
 
 
-def service_specs(config_path: str | None) -> list[ServiceSpec]:
-    """The four services, the daemon first."""
-    return [ServiceSpec(name, own_command(name, config_path=config_path)) for name in SERVICES]
+def service_specs(config_path: str | None, *, offered: bool = False) -> list[ServiceSpec]:
+    """The four services, the daemon first; and the gateway where the rig is ``offered`` to other machines."""
+    names = (*SERVICES, "gateway") if offered else SERVICES
+    return [ServiceSpec(name, own_command(name, config_path=config_path)) for name in names]
 
 
 def read_url(run_dir: Path) -> str:
@@ -80,7 +81,9 @@ def run_up(config: LoadedConfig, config_path: str | None, run_dir: Path) -> int:
     _refuse_a_second(run_dir)
     (run_dir / URL_NAME).unlink(missing_ok=True)
     absolute = str(Path(config_path).resolve()) if config_path else None
-    supervisor = Supervisor(service_specs(absolute), child_environment(run_dir), _complain)
+    supervisor = Supervisor(
+        service_specs(absolute, offered=bool(config.rig.network.host)), child_environment(run_dir), _complain
+    )
     wake = threading.Event()
     with signals_set(wake) as came:
         supervisor.start()

@@ -165,6 +165,17 @@ class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Bytes per second that one browser is sent at most."""
 
 
+class NetworkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The way in from other machines, for those whose key is allowed ('sweepscope keys')."""
+
+    host: str = ""
+    """Address to bind; empty: nothing is offered to other machines. 0.0.0.0 offers to every network there is."""
+    port: Annotated[int, Meta(ge=1, le=65_532)] = 5570
+    """First of four TCP ports: status, results, preview, commands."""
+    keys_dir: str = ""
+    """Folder of the rig's key and of the list of allowed keys; empty: of an installed rig /etc/sweepscope/keys."""
+
+
 class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """rig.toml as a whole."""
 
@@ -176,4 +187,5 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     limits: LimitsConfig = LimitsConfig()
     lamp: LampConfig = LampConfig()
     viewer: ViewerConfig = ViewerConfig()
+    network: NetworkConfig = NetworkConfig()
     simulation: SimulationConfig = SimulationConfig()

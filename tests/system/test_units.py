@@ -16,6 +16,7 @@ from tests.conftest import need
 UNITS = Path(__file__).parents[2] / "systemd" / "system"
 SERVICES = sorted(path.name for path in UNITS.glob("*.service"))
 WORST = 2.0
+NETWORKED = ("sweepscope-viewer.service", "sweepscope-gateway.service")
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +74,10 @@ def test_systemd_waits_longer_than_the_services_clean_up() -> None:
     assert seconds("sweepscope-writer.service", "TimeoutStopSec") > limits.seal_s
 
 
-def test_only_the_viewer_has_a_network_and_only_the_daemon_has_devices() -> None:
+def test_only_viewer_and_gateway_have_a_network_and_only_the_daemon_has_devices() -> None:
     for service in SERVICES:
         text = (UNITS / service).read_text()
-        assert ("PrivateNetwork=yes" in text) == (service != "sweepscope-viewer.service")
+        assert ("PrivateNetwork=yes" in text) == (service not in NETWORKED)
         assert ("PrivateDevices=yes" in text) == (service != "sweepscope-daemon.service")
 
 

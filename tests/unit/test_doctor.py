@@ -17,7 +17,14 @@ from acquire.contract.messages import FaultReport, Status
 from tests.fakes.sweep_source import calibration_json
 from tui.installing import host_checks
 from tui.installing.device_checks import check_camera, check_firmware, check_stage
-from tui.installing.doctor import check_calibration, check_services, check_sockets, examine
+from tui.installing.doctor import (
+    KeyFacts,
+    check_calibration,
+    check_network,
+    check_services,
+    check_sockets,
+    examine,
+)
 from tui.installing.finding import Finding
 from tui.installing.host_checks import (
     Login,
@@ -179,6 +186,21 @@ def test_services_answer_and_have_no_fault_that_nobody_saw() -> None:
     assert level(check_services(msgspec.structs.replace(READY, faults=[fault]), "")) == "note"
 
 
+KEYS = KeyFacts(Path("/nonexistent"), lambda: 0)
+
+
+def test_an_offer_to_other_machines_has_a_key_of_its_own_and_lets_somebody_in(tmp_path: Path) -> None:
+    key = tmp_path / "server.key"
+    assert level(check_network("", "127.0.0.1", KEYS)) == "ok"
+    assert level(check_network("", "0.0.0.0", KEYS)) == "note"
+    assert level(check_network("10.0.0.1", "127.0.0.1", KeyFacts(key, lambda: 1))) == "wrong"
+    key.touch(0o644)
+    assert level(check_network("10.0.0.1", "127.0.0.1", KeyFacts(key, lambda: 1))) == "wrong"
+    key.chmod(0o600)
+    assert level(check_network("10.0.0.1", "127.0.0.1", KeyFacts(key, lambda: 1))) == "ok"
+    assert level(check_network("10.0.0.1", "127.0.0.1", KeyFacts(key, lambda: 0))) == "note"
+
+
 def unreachable() -> Status:
     raise NoServiceError("no rig daemon answers")
 
@@ -186,7 +208,7 @@ def unreachable() -> Status:
 def test_an_examination_asks_everything_and_never_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(host_checks, "SPEED_BYTES", 1_000_000)
     variables = {"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path), "SWEEPSCOPE_STAGE__KIND": "uno"}
-    found = {finding.name: level(finding) for finding in examine(load_config(environ=variables), unreachable)}
+    found = {finding.name: level(finding) for finding in examine(load_config(environ=variables), unreachable, KEYS)}
     assert set(found) >= {"python", "groups", "stage", "firmware", "camera", "space", "disk speed", "calibration"}
-    assert set(found) >= {"clock", "sockets", "services"}
+    assert set(found) >= {"clock", "sockets", "services", "network"}
     assert found["services"] == "wrong"

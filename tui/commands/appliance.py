@@ -13,6 +13,7 @@ from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
     from acquire.contract.messages import Status
+    from tui.installing.doctor import KeyFacts
     from tui.installing.places import Places
 
 _user = click.option("--user", is_flag=True, help="For yourself only, without root.")
@@ -131,7 +132,7 @@ def doctor(session: Session, as_json: bool) -> int:
     """Check what people get wrong, and say the mend."""
     from tui.installing.doctor import examine
 
-    findings = list(examine(session.config(), lambda: _status(session)))
+    findings = list(examine(session.config(), lambda: _status(session), _key_facts(session)))
     if as_json:
         print_json({"findings": findings})
     for finding in () if as_json else findings:
@@ -140,13 +141,23 @@ def doctor(session: Session, as_json: bool) -> int:
     return 1 if any(finding.level == "wrong" for finding in findings) else 0
 
 
+def _key_facts(session: Session) -> KeyFacts:
+    from acquire.remote.keys import SERVER_KEY_NAME, load_allowed, rig_folder
+    from tui.installing.doctor import KeyFacts
+
+    folder = rig_folder(session.config())
+    return KeyFacts(folder / SERVER_KEY_NAME, lambda: len(load_allowed(folder)))
+
+
 def _status(session: Session) -> Status:
     with session.client() as client:
         return client.status()
 
 
 @click.command()
-@click.option("--service", type=click.Choice(["daemon", "writer", "worker", "viewer"]), help="Only this service.")
+@click.option(
+    "--service", type=click.Choice(["daemon", "writer", "worker", "viewer", "gateway"]), help="Only this service."
+)
 @click.option("--scan", "scan_uid", metavar="UID", help="Only what belongs to this scan.")
 @click.option("-n", "--lines", type=click.IntRange(1, 1_000_000), default=200, show_default=True)
 @click.option("-f", "--follow", is_flag=True, help="Go on with what comes.")
@@ -180,7 +191,7 @@ def report(session: Session, target: Path, with_bench: bool) -> None:
     texts = {
         "versions.json": as_text(versions()),
         "rig.toml": config.explained(),
-        "doctor.json": as_text(plain(list(examine(config, lambda: _status(session))))),
+        "doctor.json": as_text(plain(list(examine(config, lambda: _status(session), _key_facts(session))))),
         "logs.txt": last_logs(),
     }
     if with_bench:

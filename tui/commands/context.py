@@ -7,7 +7,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -22,6 +23,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
+class FarRig:
+    """A rig on another machine, as ``--connect`` and its companions name it; empty: the one on this machine."""
+
+    address: str = ""
+    """tcp://host:port."""
+    server_key: str = ""
+    """Its public key in Z85."""
+    key: Path | None = None
+    """File of our own pair; None: the usual one."""
+
+
+@dataclass(frozen=True)
 class Session:
     """One invocation of the command line."""
 
@@ -29,6 +42,7 @@ class Session:
     """``--config``; None: look in the usual places."""
     debug: bool = False
     """``--debug``."""
+    far: FarRig = FarRig()
 
     def config(self) -> LoadedConfig:
         """The effective configuration (raises ConfigError)."""
@@ -36,14 +50,39 @@ class Session:
 
         return load_config(self.config_path)
 
-    def client(self) -> RigClient:
-        """A client of the running daemon (raises NoServiceError)."""
+    @contextmanager
+    def client(self) -> Iterator[RigClient]:
+        """A client of the running daemon, here or far away (raises NoServiceError)."""
         from acquire.contract.places import client_run_dir
         from tui.client import RigClient
         from tui.who import my_name_at_a_terminal
 
         timeout_s = self.config().rig.limits.command_s
-        return RigClient(client_run_dir(), timeout_s=timeout_s, client=my_name_at_a_terminal())
+        with self.tunnel() as far_dir:
+            where = far_dir or client_run_dir()
+            with RigClient(where, timeout_s=timeout_s, client=my_name_at_a_terminal()) as client:
+                yield client
+
+    @contextmanager
+    def tunnel(self) -> Iterator[Path | None]:
+        """While inside, the folder with the lanes of a far rig; None if none was named.
+
+        Raises:
+            NoServiceError: it does not answer or does not let us in; why is said.
+            ConfigError: no address, no key, or no pair of our own.
+        """
+        if not self.far.address:
+            yield None
+            return
+        from acquire.remote.addresses import parse_address
+        from acquire.remote.keys import OWN_KEY_NAME, check_public, load_pair, own_folder
+        from acquire.remote.tunnel import Tunnel
+
+        address = parse_address(self.far.address)
+        pair = load_pair(self.far.key or own_folder() / OWN_KEY_NAME, "your key", "'sweepscope keys make' makes it")
+        with Tunnel(address, check_public(self.far.server_key), pair) as tunnel:
+            tunnel.wait(self.config().rig.limits.command_s)
+            yield tunnel.run_dir
 
     def service_run_dir(self) -> Path:
         """The directory of the services' sockets, made if it is not there."""

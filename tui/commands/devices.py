@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tui.commands.context import Session, json_option, print_json
+from tui.commands.remote import far_options
 
 if TYPE_CHECKING:
     from tui.client import RigClient
@@ -44,6 +45,7 @@ def _show(name: str, result: dict[str, Any], as_json: bool) -> None:
 @click.argument("position_steps", type=int)
 @_wait
 @json_option
+@far_options
 @click.pass_obj
 def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage to POSITION_STEPS microsteps."""
@@ -54,6 +56,7 @@ def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> No
 @click.argument("steps", type=int)
 @_wait
 @json_option
+@far_options
 @click.pass_obj
 def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage by STEPS microsteps (negative: back)."""
@@ -63,6 +66,7 @@ def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
 @click.command()
 @_wait
 @json_option
+@far_options
 @click.pass_obj
 def home(session: Session, wait: bool, as_json: bool) -> None:
     """Find the zero of the stage."""
@@ -71,6 +75,7 @@ def home(session: Session, wait: bool, as_json: bool) -> None:
 
 @click.command()
 @json_option
+@far_options
 @click.pass_obj
 def zero(session: Session, as_json: bool) -> None:
     """Make the present position the zero of the stage."""
@@ -80,6 +85,7 @@ def zero(session: Session, as_json: bool) -> None:
 @click.command()
 @click.argument("switch", type=click.Choice(["on", "off"]))
 @json_option
+@far_options
 @click.pass_obj
 def lamp(session: Session, switch: str, as_json: bool) -> None:
     """Switch the lamp on or off."""
@@ -95,6 +101,7 @@ def camera() -> None:
 
 @camera.command("show")
 @json_option
+@far_options
 @click.pass_obj
 def camera_show(session: Session, as_json: bool) -> None:
     """Print each setting with its limits."""
@@ -127,6 +134,7 @@ def _settings(_context: click.Context, _parameter: click.Parameter, values: tupl
 @camera.command("set")
 @click.argument("settings", metavar="NAME=NUMBER...", nargs=-1, required=True, callback=_settings)
 @json_option
+@far_options
 @click.pass_obj
 def camera_set(session: Session, settings: dict[str, float], as_json: bool) -> None:
     """Change settings, such as gain=12 exposure-ms=20; the others stay."""
@@ -154,6 +162,7 @@ def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> t
 @camera.command("expose")
 @_wait
 @json_option
+@far_options
 @click.pass_obj
 def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
     """Search the exposure once, with the light over the specimen; then it stays."""
@@ -170,6 +179,7 @@ def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
 @click.option("--every-steps", type=click.IntRange(min=1), help="Microsteps between two looks; 20 frames if not given.")
 @_wait
 @json_option
+@far_options
 @click.pass_obj
 def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None:
     """Look at every n-th position of a sweep and propose its bounds and exposure.
@@ -192,6 +202,7 @@ def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None
 @click.command()
 @click.argument("action", type=click.Choice(["take", "release"]))
 @json_option
+@far_options
 @click.pass_obj
 def control(session: Session, action: str, as_json: bool) -> None:
     """Take control of the rig for this terminal, or give it back.

@@ -10,10 +10,12 @@ from typing import Any
 import click
 
 from tui.commands.context import F, Session, json_option, print_json
+from tui.commands.remote import far_options
 
 
 @click.command()
 @json_option
+@far_options
 @click.pass_obj
 def status(session: Session, as_json: bool) -> None:
     """Say what the rig is doing."""
@@ -57,6 +59,7 @@ def _plan_options(function: F) -> F:
 @click.option("--from-proposal", is_flag=True, help="Take bounds and exposure from the last pre-scan.")
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @json_option
+@far_options
 @click.pass_obj
 def scan(
     session: Session, /, wait: bool, from_proposal: bool, as_json: bool, tags: tuple[str, ...], **args: Any
@@ -73,6 +76,7 @@ def scan(
 @click.argument("scan", required=False, type=click.Path(path_type=Path))
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @json_option
+@far_options
 @click.pass_obj
 def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> int:
     """Go on with a sweep that holds, or with the interrupted sweep SCAN from its last commit.
@@ -81,7 +85,7 @@ def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> in
     if scan is None:
         _ask(session, "resume", as_json)
         return 0
-    return _run(session, "resume_scan", wait, as_json, path=str(scan.resolve()))
+    return _run(session, "resume_scan", wait, as_json, path=str(scan if session.far.address else scan.resolve()))
 
 
 def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: Any) -> int:
@@ -161,6 +165,7 @@ def _in_words(result: dict[str, Any]) -> str:
 def _simple(name: str, manual: str) -> click.Command:
     @click.command(name, help=manual)
     @json_option
+    @far_options
     @click.pass_obj
     def command(session: Session, as_json: bool) -> None:
         _ask(session, name, as_json)

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from tui.commands.context import Session
+from tui.commands.remote import far_options
 
 
 def _lifeline() -> None:
@@ -65,6 +66,7 @@ def viewer(session: Session, port: int | None) -> None:
 @click.command()
 @click.option("--ascii", "ascii_only", is_flag=True, help="Draw with plain ASCII signs only.")
 @click.option("--read-only", is_flag=True, help="Look only: no action that moves or changes the rig; STOP stays.")
+@far_options
 @click.pass_obj
 def console(session: Session, ascii_only: bool, read_only: bool) -> int:
     """Show and steer the rig in this terminal.
@@ -77,7 +79,8 @@ def console(session: Session, ascii_only: bool, read_only: bool) -> int:
     from tui.app import run_console
     from tui.console_options import options_for
 
-    return run_console(options_for(config, ascii_only=ascii_only, read_only=read_only))
+    with session.tunnel() as far_dir:
+        return run_console(options_for(config, ascii_only=ascii_only, read_only=read_only), run_dir=far_dir)
 
 
 @click.command()

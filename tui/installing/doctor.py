@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -32,12 +33,23 @@ from tui.installing.places import machine_places
 CALIBRATION_DAYS = 90
 
 
-def examine(config: LoadedConfig, status: Callable[[], Status]) -> Iterator[Finding]:
+@dataclass(frozen=True)
+class KeyFacts:
+    """What is known of the keys for the way in over TCP."""
+
+    server_key: Path
+    """Where the rig's key is, or should be."""
+    allowed: Callable[[], int]
+    """How many keys are let in (raises ConfigError: the list cannot be read)."""
+
+
+def examine(config: LoadedConfig, status: Callable[[], Status], keys: KeyFacts) -> Iterator[Finding]:
     """All checks in the order in which they matter.
 
     Args:
         config: the effective configuration.
         status: asks the running daemon (raises SweepscopeError).
+        keys: what is known of the keys for the way in over TCP.
     """
     now, silence = _ask(status)
     rig, data_dir = config.rig, config.data_dir
@@ -53,6 +65,7 @@ def examine(config: LoadedConfig, status: Callable[[], Status]) -> Iterator[Find
         ("clock", lambda: check_clock(utc_now(), clock_set_by_network())),
         ("sockets", lambda: check_sockets(client_run_dir)),
         ("services", lambda: check_services(now, silence)),
+        ("network", lambda: check_network(rig.network.host, rig.viewer.host, keys)),
     )
     for name, check in checks:
         try:
@@ -122,3 +135,21 @@ def check_services(now: Status | None, silence: str) -> Finding:
     if faults:
         return Finding("services", "note", f"{text}; faults {faults}", "the console says what each asks for")
     return Finding("services", "ok", text)
+
+
+def check_network(host: str, page_host: str, keys: KeyFacts) -> Finding:
+    """What is offered to other machines is meant, has a key that nobody else reads, and lets somebody in."""
+    page = "" if page_host in ("127.0.0.1", "::1", "localhost") else f"; the page is open to view at {page_host}"
+    if not host:
+        return Finding("network", "note" if page else "ok", f"no lane is offered to other machines{page}")
+    if not keys.server_key.exists():
+        mend = "sudo sweepscope keys make --server (or empty network.host)"
+        return Finding("network", "wrong", f"offered at {host}, but there is no key {keys.server_key}", mend)
+    if stat.S_IMODE(keys.server_key.stat().st_mode) & 0o077:
+        mend = f"chmod 600 {keys.server_key}, and make a new one: others may have read it"
+        return Finding("network", "wrong", f"{keys.server_key} can be read by others", mend)
+    count = keys.allowed()
+    if not count:
+        mend = "sudo sweepscope keys allow NAME KEY"
+        return Finding("network", "note", f"offered at {host}, and nobody is let in{page}", mend)
+    return Finding("network", "ok", f"offered at {host} to {count} key{'s' * (count > 1)}{page}")

@@ -61,8 +61,11 @@ def _remove_files(places: Places) -> None:
     for drop_in in places.units.glob("sweepscope*.d"):  # made by 'systemctl edit'
         shutil.rmtree(drop_in, ignore_errors=True)
     places.config.unlink(missing_ok=True)
-    for folder in (places.config.parent, Path("/run/sweepscope") if not places.user else None):
-        if folder is not None:
+    if places.user:
+        with suppress(OSError):  # a person's own key stays: it opens other rigs too
+            places.config.parent.rmdir()
+    else:
+        for folder in (places.config.parent, Path("/run/sweepscope")):
             shutil.rmtree(folder, ignore_errors=True)
     if systemd_runs(user=places.user):
         systemctl("daemon-reload", user=places.user)

@@ -14,6 +14,7 @@ _USER_KEYS = frozenset(
         "StartLimitIntervalSec",
         "Type",
         "NotifyAccess",
+        "ExecCondition",
         "ExecStart",
         "Restart",
         "RestartSec",

@@ -1,0 +1,188 @@
+"""Owns key files: pairs that only their owner can read, and the list of public keys that are let in.
+
+Secrets are never logged, printed or sent; public keys are made to be shown.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import tomllib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import tomli_w
+import zmq
+
+from acquire.contract.config import LoadedConfig
+from acquire.contract.errors import ConfigError
+
+May = Literal["steer", "watch"]
+SYSTEM_CONFIG = Path("/etc/sweepscope")
+SERVER_KEY_NAME, OWN_KEY_NAME, ALLOWED_NAME = "server.key", "own.key", "allowed.toml"
+SERVICE_USER = "sweepscope"
+_Z85 = re.compile(r"^[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}$")
+_NAME = re.compile(r"^[\w.@-]{1,64}$")
+
+
+@dataclass(frozen=True)
+class KeyPair:
+    """A CURVE pair in Z85."""
+
+    public: str
+    secret: str
+
+    def __repr__(self) -> str:
+        """Without the secret: what is printed or logged by accident gives nothing away."""
+        return f"KeyPair({self.public})"
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """One key that is let in."""
+
+    key: str
+    """Public key in Z85."""
+    may: May
+    """``steer``: everything an operator may; ``watch``: listen only."""
+
+
+def own_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """Where a person's key lives."""
+    config = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
+    return Path(config) / "sweepscope/keys"
+
+
+def rig_folder(config: LoadedConfig) -> Path:
+    """Where the rig's key and the list of allowed keys live: of an installed rig beside its rig.toml."""
+    if config.rig.network.keys_dir:
+        return Path(config.rig.network.keys_dir).expanduser()
+    if config.path is not None and config.path.parent == SYSTEM_CONFIG:
+        return SYSTEM_CONFIG / "keys"
+    return own_folder()
+
+
+def check_public(text: str) -> str:
+    """The key, if it is one.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    if not _Z85.match(text):
+        raise ConfigError(f"{text[:60]!r} is no public key: it has 40 signs, as 'sweepscope keys make' prints them")
+    return text
+
+
+def make_pair(path: Path, *, force: bool = False) -> KeyPair:
+    """Make a pair and keep it in a file of mode 0600; under /etc it belongs to the user of the services.
+
+    Raises:
+        ConfigError: there is one already (and ``force`` was not said), or it cannot be written.
+    """
+    if path.exists() and not force:
+        raise ConfigError(f"{path} is there already: who knows its public key goes on with it; --force replaces it")
+    public, secret = (key.decode() for key in zmq.curve_keypair())
+    text = tomli_w.dumps({"public": public, "secret": secret})
+    try:
+        _make_folder(path.parent)
+        _replace(path, "# secret: whoever reads this file can be you\n" + text, 0o600)
+        if path.is_relative_to(SYSTEM_CONFIG) and os.getuid() == 0:
+            with suppress(LookupError):
+                shutil.chown(path, SERVICE_USER, SERVICE_USER)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}; use sudo for the rig's key") from None
+    return KeyPair(public, secret)
+
+
+def load_pair(path: Path, what: str, mend: str) -> KeyPair:
+    """Read a pair.
+
+    Raises:
+        ConfigError: not there, not readable, open to others, or no pair; the mend is said.
+    """
+    try:
+        if stat.S_IMODE(path.stat().st_mode) & 0o077:
+            raise ConfigError(f"{what} {path} can be read by others: make a new one, or chmod 600 {path}")
+        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        pair = KeyPair(str(fields["public"]), str(fields["secret"]))
+        if not _Z85.match(pair.public) or not _Z85.match(pair.secret):
+            raise ValueError("no pair")  # not shown: half of it is secret
+        return pair
+    except FileNotFoundError:
+        raise ConfigError(f"{what} {path} is not there: {mend}") from None
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"{what} {path} cannot be used ({type(error).__name__}): {mend}") from None
+
+
+def load_allowed(folder: Path) -> dict[str, Allowed]:
+    """Who is let in, by name; nobody if there is no list.
+
+    Raises:
+        ConfigError: the list cannot be read; nobody is let in then.
+    """
+    path = folder / ALLOWED_NAME
+    try:
+        entries = tomllib.loads(path.read_text(encoding="utf-8"))
+        return {name: _entry(name, fields) for name, fields in entries.items()}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path} cannot be used ({error}): nobody is let in; mend it, or remove it") from None
+
+
+def _entry(name: str, fields: object) -> Allowed:
+    if not isinstance(fields, dict) or fields.get("may") not in ("steer", "watch"):
+        raise ValueError(f"{name} needs key and may = 'steer' or 'watch'")
+    return Allowed(check_public(str(fields["key"])), cast(May, fields["may"]))
+
+
+def allow(folder: Path, name: str, key: str, may: May) -> None:
+    """Let a key in; a name that is there already gets the new key.
+
+    Raises:
+        ConfigError: no name, no key, or the list cannot be written.
+    """
+    if not _NAME.match(name):
+        raise ConfigError(f"{name[:60]!r} is no name for a key: letters, digits, . _ @ - only, at most 64")
+    _save(folder, load_allowed(folder) | {name: Allowed(check_public(key), may)})
+
+
+def revoke(folder: Path, name: str) -> None:
+    """Let a key in no longer.
+
+    Raises:
+        ConfigError: no such name, or the list cannot be written.
+    """
+    entries = load_allowed(folder)
+    if name not in entries:
+        raise ConfigError(f"no key is allowed under the name {name[:60]!r}: see 'sweepscope keys list'")
+    _save(folder, {other: entry for other, entry in entries.items() if other != name})
+
+
+def _save(folder: Path, entries: Mapping[str, Allowed]) -> None:
+    path = folder / ALLOWED_NAME
+    text = tomli_w.dumps({name: {"key": entry.key, "may": entry.may} for name, entry in entries.items()})
+    try:
+        _make_folder(folder)
+        _replace(path, "# public keys that are let in over TCP; 'sweepscope keys' writes this\n" + text, 0o644)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}; use sudo for the rig's list") from None
+
+
+def _make_folder(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True, mode=0o755 if folder.is_relative_to(SYSTEM_CONFIG) else 0o700)
+
+
+def _replace(path: Path, text: str, mode: int) -> None:
+    """Write a file from one moment to the next; it never exists with a wider mode than it shall have."""
+    fresh = path.with_name(f".{path.name}.{os.getpid()}")
+    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(text)
+    fresh.replace(path)
