@@ -86,7 +86,7 @@ def make_pair(path: Path, *, force: bool = False) -> KeyPair:
     """
     if path.exists() and not force:
         raise ConfigError(f"{path} is there already: who knows its public key goes on with it; --force replaces it")
-    public, secret = (key.decode() for key in zmq.curve_keypair())
+    public, secret = _fresh_pair()
     text = tomli_w.dumps({"public": public, "secret": secret})
     try:
         _make_folder(path.parent)
@@ -97,6 +97,13 @@ def make_pair(path: Path, *, force: bool = False) -> KeyPair:
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}; use sudo for the rig's key") from None
     return KeyPair(public, secret)
+
+
+def _fresh_pair() -> tuple[str, str]:
+    while True:
+        public, secret = (key.decode() for key in zmq.curve_keypair())
+        if not public.startswith("-"):  # on a command line it would be taken for an option
+            return public, secret
 
 
 def load_pair(path: Path, what: str, mend: str) -> KeyPair:

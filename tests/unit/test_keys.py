@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 import pytest
+import zmq
 
 from acquire.contract.config import load_config
 from acquire.contract.errors import ConfigError
@@ -107,6 +108,12 @@ def test_the_lanes_stand_on_consecutive_ports_also_in_ipv6() -> None:
 def test_the_rigs_keys_lie_where_the_configuration_says(tmp_path: Path) -> None:
     loaded = load_config(environ={"SWEEPSCOPE_NETWORK__KEYS_DIR": str(tmp_path)})
     assert rig_folder(loaded) == tmp_path
+
+
+def test_a_public_key_is_never_taken_for_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = iter([(b"-" + KEY[1:].encode(), KEY.encode()), (KEY.encode(), KEY.encode())])
+    monkeypatch.setattr(zmq, "curve_keypair", lambda: next(pairs))
+    assert make_pair(tmp_path / "own.key").public == KEY
 
 
 @pytest.fixture
