@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -30,6 +31,8 @@ from .keys import KeyPair
 from .relay import Ends, Relay
 
 POLL_MS = 50
+PROOF = 3
+"""Handshakes that were cut off in a row until we believe that the key is wrong."""
 TIMELESS = ("stop", "status")
 _REFUSED = "the rig does not know this key: 'sweepscope keys allow NAME KEY' at the rig lets it in"
 _FAILED = "the rig cannot read what we say: is --server-key the key of this rig ('sweepscope keys list' there)?"
@@ -50,6 +53,7 @@ class Tunnel:
         self.address = address
         self._server_key, self._pair, self._now_ns = server_key, pair, now_ns
         self._why: dict[str, str] = {}
+        self._cut_off: Counter[str] = Counter()
         self._up: set[str] = set()
         self._ahead_ns: int | None = None
         self._changed = threading.Condition()
@@ -106,11 +110,15 @@ class Tunnel:
         with self._changed:
             if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 self._up.add(lane)
+                self._cut_off[lane] = 0
                 self._why.pop(lane, None)
             elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
                 self._why[lane] = _REFUSED
             elif event in (zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL, zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL):
-                self._why[lane] = _FAILED
+                # a gateway that restarts cuts a handshake off as well; one with another key does it every time
+                self._cut_off[lane] += 1
+                if self._cut_off[lane] >= PROOF:
+                    self._why[lane] = _FAILED
             elif event == zmq.EVENT_DISCONNECTED:
                 self._up.discard(lane)
             self._changed.notify_all()
