@@ -55,14 +55,14 @@ def run_worker(config: LoadedConfig, run_dir: Path) -> None:
     """
     lock = lock_service(run_dir, "worker")
     stop = threading.Event()
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: stop.set())
     context: zmq.Context[Any] = zmq.Context()
     try:
         worker = Worker(config, run_dir, context)
         try:
-            warm_up()
+            warm_up()  # compiling may take a minute and has nothing to save: a signal ends it at once
+            if threading.current_thread() is threading.main_thread():
+                for number in (signal.SIGTERM, signal.SIGINT):
+                    signal.signal(number, lambda *_: stop.set())
             worker.run(stop)
         finally:
             worker.close()

@@ -106,24 +106,32 @@ class ThrowawayRoot:
         return self.run("systemctl", "is-active", "systemd-journald.service", check=False).returncode == 0
 
     def run(
-        self, *words: str, user: str = "root", check: bool = True, **environ: str
+        self, *words: str, user: str = "root", check: bool = True, deadline_s: float = DEADLINE_S, **environ: str
     ) -> subprocess.CompletedProcess[str]:
         """Run a command inside, as ``user``, with a clean environment."""
         enter = ["nsenter", "-t", str(self._init), "-m", "-p", "-i", "-u", "-C", "-r", "-w"]
         clean = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8"} | environ
         become = ["runuser", "-u", user, "--"] if user != "root" else []
         done = subprocess.run(
-            [*enter, *become, *words], env=clean, capture_output=True, text=True, timeout=DEADLINE_S, check=False
+            [*enter, *become, *words], env=clean, capture_output=True, text=True, timeout=deadline_s, check=False
         )
         if check and done.returncode:
             raise AssertionError(f"{' '.join(words)}: status {done.returncode}\n{done.stdout}\n{done.stderr}")
         return done
 
-    def sweepscope_from_clone(self, *words: str, **more: Any) -> subprocess.CompletedProcess[str]:
-        """The command as it is run from a clone, before anything is installed."""
-        return self.run(
-            sys.executable, "-m", "tui.cli", *words, PYTHONPATH=SOURCE_INSIDE, PYTHONDONTWRITEBYTECODE="1", **more
-        )
+    def sweepscope_from_clone(
+        self, *words: str, source: str = SOURCE_INSIDE, within: tuple[str, ...] = (), **more: Any
+    ) -> subprocess.CompletedProcess[str]:
+        """The command as it is run from a clone, before anything is installed.
+
+        Args:
+            words: the command's arguments.
+            source: the clone.
+            within: a command that runs it, as ``unshare -m`` does.
+            more: for :meth:`run`.
+        """
+        command = (*within, sys.executable, "-m", "tui.cli", *words)
+        return self.run(*command, PYTHONPATH=source, PYTHONDONTWRITEBYTECODE="1", **more)
 
     def path(self, inside: str) -> Path:
         """A path of the root as seen from outside."""

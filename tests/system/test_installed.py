@@ -5,15 +5,17 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.conftest import need
 from tests.fakes.throwaway_root import PACKAGES_INSIDE, SOURCE_INSIDE, RootUnavailableError, ThrowawayRoot
 
-pytestmark = [pytest.mark.shares_processes, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.shares_processes, pytest.mark.slow, pytest.mark.timeout(400)]
 SERVICES = ("daemon", "writer", "worker", "viewer")
 CONFIG = """
 [storage]
@@ -28,6 +30,9 @@ max_rate_hz = 100.0
 time_scale = 0.001
 [viewer]
 port = 18980
+[network]
+host = "127.0.0.1"
+port = 18990
 """
 SCAN = ("sweepscope", "scan", "--wait", "--json")
 LONG = ("--steps-per-frame", "1", "--last-steps", "4400")
@@ -53,12 +58,15 @@ def prepare(root: ThrowawayRoot) -> None:
     root.path("/etc/sweepscope").mkdir()
     root.path("/etc/sweepscope/rig.toml").write_text(CONFIG)
     install(root)
+    root.run("sweepscope", "keys", "make", "--server")
     root.run("useradd", "--groups", "sweepscope", "microscopist")
     root.run("useradd", "stranger")
 
 
-def install(root: ThrowawayRoot, *words: str, check: bool = True) -> str:
-    done = root.sweepscope_from_clone("install", "--packages-from", PACKAGES_INSIDE, *words, check=check)
+def install(root: ThrowawayRoot, *words: str, **more: Any) -> str:
+    words = ("install", "--packages-from", PACKAGES_INSIDE, *words)
+    # the kernels of a first installation are compiled by whatever processors there are
+    done = root.sweepscope_from_clone(*words, deadline_s=300.0, **more)
     return done.stdout + done.stderr
 
 
@@ -140,6 +148,29 @@ def test_no_service_logs_the_token_of_the_page(root: ThrowawayRoot) -> None:
     assert token not in root.run("journalctl", "--no-pager", "--all").stdout
 
 
+def test_a_far_console_needs_a_key_that_the_rig_knows_and_nobody_reads_the_rigs_own(root: ThrowawayRoot) -> None:
+    rigs_key = root.run("sweepscope", "keys", "list").stdout.splitlines()[1].split()[-1]
+    for user in ("microscopist", "stranger"):
+        root.run("mkdir", "-p", "-m", "777", f"/tmp/{user}")
+        key = far(root, user, "keys", "make").stdout.split()[-1]
+        if user == "microscopist":
+            root.run("sweepscope", "keys", "allow", user, key)
+    root.until(lambda: show(root, "gateway", "ActiveState") == "active", "the gateway finds its key")
+    where = ("--connect", "tcp://127.0.0.1:18990", "--server-key", rigs_key)
+    assert json.loads(far(root, "microscopist", "status", "--json", *where).stdout)["state"] == "idle"
+    assert far(root, "stranger", "status", *where, check=False).returncode == 3
+    for user in ("microscopist", "stranger"):
+        assert root.run("cat", "/etc/sweepscope/keys/server.key", user=user, check=False).returncode
+    secret = root.path("/etc/sweepscope/keys/server.key").read_text().split('secret = "')[1][:40]
+    assert secret not in root.run("journalctl", "--no-pager", "--all").stdout
+
+
+def far(root: ThrowawayRoot, user: str, *words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+    """A command of somebody who has nothing of the rig but its address."""
+    nothing = {"XDG_CONFIG_HOME": f"/tmp/{user}", "SWEEPSCOPE_RUN": f"/tmp/{user}"}
+    return root.run("sweepscope", *words, user=user, check=check, **nothing)
+
+
 def test_a_frozen_daemon_is_restarted_and_its_scan_goes_on(root: ThrowawayRoot) -> None:
     drop_in = root.path("/etc/systemd/system/sweepscope-daemon.service.d")
     drop_in.mkdir()
@@ -158,7 +189,7 @@ def test_a_frozen_daemon_is_restarted_and_its_scan_goes_on(root: ThrowawayRoot) 
     assert json.loads(end.stdout)["outcome"] == "complete"
 
 
-def status(root: ThrowawayRoot) -> dict[str, int]:
+def status(root: ThrowawayRoot) -> dict[str, Any]:
     return json.loads(root.run("sweepscope", "status", "--json").stdout)
 
 
@@ -179,6 +210,40 @@ def test_a_failed_update_leaves_the_old_release_running(root: ThrowawayRoot) -> 
     said = install(root, check=False)
     rules.write_text(CONFIG)
     assert "as before" in said
+    assert root.path("/opt/sweepscope/current").readlink() == release
+    assert show(root, "daemon", "MainPID") == pid
+
+
+_PARTS = ("acquire", "process", "tui", "systemd", "pyproject.toml", "constraints.txt", "README.md")
+
+
+def test_a_release_whose_daemon_does_not_start_is_taken_back(root: ThrowawayRoot) -> None:
+    release = root.path("/opt/sweepscope/current").readlink()
+    root.run("mkdir", "/srv/broken")
+    root.run("cp", "-r", *(f"{SOURCE_INSIDE}/{part}" for part in _PARTS), "/srv/broken")
+    daemon = root.path("/srv/broken/acquire/daemon.py")
+    daemon.write_text(
+        daemon.read_text().replace("def run_daemon(", "def run_daemon(*_):\n    raise SystemExit(1)\n\n\ndef _(")
+    )
+    unit = root.path("/srv/broken/systemd/system/sweepscope-viewer.service")
+    unit.write_text(unit.read_text() + "# of the broken release\n")
+    said = install(root, source="/srv/broken", check=False)
+    assert "sweepscope-daemon.service does not get ready" in said, said
+    assert f"{release.name} is in place as before" in said, said
+    assert "the old services are ready again" in said, said
+    assert root.path("/opt/sweepscope/current").readlink() == release
+    assert {show(root, service, "ActiveState") for service in SERVICES} == {"active"}
+    assert "broken" not in root.path("/etc/systemd/system/sweepscope-viewer.service").read_text()
+    assert status(root)["state"] == "idle"
+
+
+def test_a_disk_that_is_full_during_an_update_changes_nothing(root: ThrowawayRoot) -> None:
+    release, pid = root.path("/opt/sweepscope/current").readlink(), show(root, "daemon", "MainPID")
+    # seen by the installer alone: the services keep theirs
+    full = ("unshare", "-m", "sh", "-c", 'mount -t tmpfs -o size=1m tmpfs /opt/sweepscope/releases && exec "$@"', "sh")
+    said = install(root, within=full, check=False)
+    assert "No space left on device" in said, said
+    assert f"{release.name} is in place as before" in said, said
     assert root.path("/opt/sweepscope/current").readlink() == release
     assert show(root, "daemon", "MainPID") == pid
 

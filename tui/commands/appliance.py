@@ -43,7 +43,11 @@ def install(
 
     Run it from a clone of the source. An update keeps scans and configuration; if the new services do not start, the
     old ones are put back."""
+    import os
+    import shutil
+
     from tui.installing.install import Installer, Wishes
+    from tui.installing.machine import systemd_runs
 
     places = _places(user, dry_run)
     settings = _settings(places, stage, port, camera, data_dir, ask=not dry_run)
@@ -51,10 +55,15 @@ def install(
     if dry_run:
         _show_steps([words for words, _ in installer.steps()])
         return
+    os.umask(0o022)  # the services are another user, who must be able to read what is put there
     installer.go()
     click.echo("installed; 'sweepscope doctor' looks it over")
+    if not systemd_runs(user=user):
+        click.echo("no systemd that could start the services is running here: 'sweepscope up' starts them by hand")
     if not user:
         click.echo("who may use the rig: sudo usermod -aG sweepscope NAME")
+    elif not shutil.which("sweepscope"):
+        click.echo(f"to find the command, put {places.command.parent} into your PATH")
 
 
 @click.command()

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,14 @@ import tomli_w
 
 from acquire.contract.config import load_config
 from acquire.contract.errors import SweepscopeError
+from acquire.contract.places import SYSTEM_RUN, service_run_dir
+from acquire.contract.states import State
+from tui.client import RigClient
 from tui.installing.machine import InstallError, point, put, run, systemctl, systemd_runs
 from tui.installing.places import SERVICES, TARGET, Places
 from tui.installing.units import unit_text
 
+ASK_S = 3.0
 START_S = 200.0
 """The new services have so long to be ready: the first start compiles kernels."""
 OWNER = "sweepscope"
@@ -56,6 +61,7 @@ class Installer:
     def steps(self) -> list[tuple[str, Callable[[], None]]]:
         """Words and deeds in their order; up to the switch nothing that runs is touched."""
         found = [
+            ("see that no sweep is running", self._see_no_sweep),
             (f"build a Python environment in {self.release}", self._build),
             ("try the new program", self._try),
             (self._config_words(), self._configure),
@@ -65,7 +71,6 @@ class Installer:
         found.append((f"put units into {self.places.units}, link {self.places.command} and switch", self._switch))
         if self.wishes.start and systemd_runs(user=self.places.user):
             found.append((f"start {TARGET} and wait until all services are ready", self._start))
-        found.append(("remove releases older than the one before", self._tidy))
         return found
 
     def go(self) -> None:
@@ -74,17 +79,26 @@ class Installer:
         Raises:
             InstallError: a step failed; the old release runs as before.
         """
-        before = self.places.current.resolve() if self.places.current.is_symlink() else None
+        before = self._in_place()
         for words, deed in self.steps():
             self.say(words)
             try:
                 deed()
-            except (SweepscopeError, OSError, KeyboardInterrupt) as error:
+            except BaseException as error:
                 self._go_back(before)
+                if not isinstance(error, (SweepscopeError, OSError, KeyboardInterrupt)):
+                    raise
                 kept = f"{before.name} is in place as before" if before else "nothing is installed"
-                raise InstallError(f"{words}: {error}; {kept}") from None
+                raise InstallError(f"{words}: {str(error) or 'interrupted'}; {kept}") from None
+        self._tidy(before)
+
+    def _in_place(self) -> Path | None:
+        return self.places.current.resolve() if self.places.current.is_symlink() else None
 
     # ---- before the switch ----
+
+    def _see_no_sweep(self) -> None:
+        refuse_during_a_sweep(self.places)
 
     def _build(self) -> None:
         self.places.releases.mkdir(parents=True, exist_ok=True)
@@ -130,6 +144,7 @@ class Installer:
     # ---- the switch and after ----
 
     def _switch(self) -> None:
+        refuse_during_a_sweep(self.places)  # building takes a minute, in which one may have begun
         data_dir = str(self._data_dir())
         for path in sorted((self.wishes.source / "systemd/system").iterdir()):
             self._put(self.places.units / path.name, unit_text(path.read_text(), self.places, data_dir))
@@ -137,53 +152,119 @@ class Installer:
         self.places.command.parent.mkdir(parents=True, exist_ok=True)
         point(self.places.command, self.places.current / "bin/sweepscope")
         files = [str(path) for path in (*self._replaced, self.places.command)]
-        put(self.places.manifest, json.dumps({"files": files, "release": self.stamp}, indent=1))
+        for name in sorted(set(self._listed()) - set(files)):
+            self._remove(Path(name))  # the release before put it there, this one does without
+        self._put(self.places.manifest, json.dumps({"files": files, "release": self.stamp}, indent=1))
+
+    def _listed(self) -> list[str]:
+        if not self.places.manifest.exists():
+            return []
+        files = json.loads(self.places.manifest.read_text())["files"]
+        return [name for name in files if Path(name) != self.places.config]
 
     def _start(self) -> None:
         user = self.places.user
+        removed = [path.name for path in self._replaced if path.suffix == ".service" and not path.exists()]
+        if removed:
+            systemctl("stop", *removed, user=user)
         systemctl("daemon-reload", user=user)
         systemctl("enable", "--quiet", TARGET, user=user)
-        systemctl("restart", "sweepscope-*.service", TARGET, user=user)
-        wait_until_ready(user=user)
+        restart(user=user)
 
-    def _tidy(self) -> None:
-        for old in sorted(self.places.releases.iterdir())[:-2]:
-            shutil.rmtree(old, ignore_errors=True)
+    def _tidy(self, before: Path | None) -> None:
+        """Keep this release and the one before; what an installation that was killed left behind goes too."""
+        for old in self.places.releases.iterdir():
+            if old.resolve() not in (self.release.resolve(), before):
+                shutil.rmtree(old, ignore_errors=True)
 
     def _put(self, path: Path, text: str) -> None:
         self._replaced.setdefault(path, path.read_text() if path.exists() else None)
         put(path, text)
 
+    def _remove(self, path: Path) -> None:
+        if path.exists():
+            self._replaced.setdefault(path, path.read_text())
+            path.unlink()
+
     def _data_dir(self) -> Path:
         return load_config(str(self.places.config), environ={}).data_dir
 
+    # ---- back ----
+
     def _go_back(self, before: Path | None) -> None:
-        switched = self.places.current.is_symlink() and self.places.current.resolve() == self.release.resolve()
-        if switched and before is None:
-            self._ask_systemd("stop", TARGET, "sweepscope-*.service")
-        for path, text in self._replaced.items():
-            if text is None:
-                path.unlink(missing_ok=True)
-            else:
-                put(path, text)
-        shutil.rmtree(self.release, ignore_errors=True)
-        if before is None:
-            self.places.current.unlink(missing_ok=True)
-            self.places.command.unlink(missing_ok=True)
-        elif switched:
-            point(self.places.current, before)
+        """Put everything back; each step is tried even if the one before failed."""
+        switched = self._in_place() == self.release.resolve()
+        steps: list[Callable[[], None]] = []
         if switched:
-            self._ask_systemd("daemon-reload")
-            if before is not None:
-                self._ask_systemd("restart", "sweepscope-*.service", TARGET)
+            gone = [path.name for path, text in self._replaced.items() if text is None and path.suffix == ".service"]
+            if gone:
+                steps.append(lambda: self._ask_systemd("stop", *gone))
+            steps.append(lambda: self._point_back(before))
+        # first: it gives room back where the disk is full
+        steps.append(lambda: shutil.rmtree(self.release, ignore_errors=True))
+        steps += [partial(_restore, path, text) for path, text in self._replaced.items()]
+        if switched:
+            steps.append(lambda: self._ask_systemd("daemon-reload"))
+        if switched and before is not None and self.wishes.start:
+            steps.append(self._start_again)
+        for step in steps:
+            try:
+                step()
+            except (OSError, SweepscopeError) as error:
+                self.say(f"putting back: {error}")
+
+    def _point_back(self, before: Path | None) -> None:
+        if before is not None:
+            point(self.places.current, before)
+            return
+        self.places.current.unlink(missing_ok=True)
+        self.places.command.unlink(missing_ok=True)
+
+    def _start_again(self) -> None:
+        if systemd_runs(user=self.places.user):
+            restart(user=self.places.user)
+            self.say("the old services are ready again")
 
     def _ask_systemd(self, *words: str) -> None:
-        if not systemd_runs(user=self.places.user):
-            return
-        try:
+        if systemd_runs(user=self.places.user):
             systemctl(*words, user=self.places.user)
-        except InstallError as error:
-            self.say(f"the services could not be put back: {error}")
+
+
+def _restore(path: Path, text: str | None) -> None:
+    if text is None:
+        path.unlink(missing_ok=True)
+    else:
+        put(path, text)
+
+
+def refuse_during_a_sweep(places: Places) -> None:
+    """Changing the program restarts the daemon, and that ends a sweep.
+
+    Raises:
+        InstallError: one is running.
+    """
+    try:
+        run_dir = SYSTEM_RUN if not places.user else service_run_dir()
+        with RigClient(run_dir, timeout_s=ASK_S) as client:
+            now = client.status()
+    except SweepscopeError:
+        return  # nothing runs that could be disturbed
+    if now.state in (State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING):
+        raise InstallError(
+            f"a sweep is running ({now.committed} of {now.expected} frames): wait for its end, or 'sweepscope stop'"
+        )
+
+
+def restart(*, user: bool) -> None:
+    """Stop everything, start it, and wait until it is ready; a service that keeps failing is noticed at once.
+
+    Raises:
+        InstallError: one of them is not ready in time; it is named.
+    """
+    systemctl("stop", TARGET, "sweepscope-*.service", user=user)
+    systemctl("reset-failed", "sweepscope-*.service", user=user)  # restarts are counted from here
+    systemctl("start", "--no-block", TARGET, user=user)
+    wait_until_ready(user=user)
 
 
 def wait_until_ready(*, user: bool, deadline_s: float = START_S) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from acquire.contract.config import load_config
 from acquire.contract.errors import ConfigError
-from tui.installing.install import OWNER
+from tui.installing.install import OWNER, refuse_during_a_sweep
 from tui.installing.machine import InstallError, run, systemctl, systemd_runs
 from tui.installing.places import TARGET, Places
 
@@ -26,6 +26,7 @@ def uninstall_steps(places: Places, say: Callable[[str], None]) -> list[tuple[st
         raise InstallError(f"nothing is installed in {places.home}")
     data = _data_dir(places)
     steps: list[tuple[str, Callable[[], None]]] = []
+    steps.append(("see that no sweep is running", lambda: refuse_during_a_sweep(places)))
     if systemd_runs(user=places.user):
         steps.append((f"stop and disable {TARGET}", lambda: _stop(places)))
     steps.append(("keep the configuration beside the scans", lambda: _keep_config(places, data, say)))

@@ -71,11 +71,16 @@ def _writable(data_dir: str) -> str:
 
 
 def _for_user(text: str, places: Places) -> str:
-    kept = []
+    kept: list[str] = []
+    remarks: list[str] = []
     for line in text.splitlines():
+        if line.startswith("#"):
+            remarks.append(line)
+            continue
         key, equals, _ = line.partition("=")
-        if not equals or line.startswith("#") or key in _USER_KEYS:
-            kept.append(line)
+        if not equals or key in _USER_KEYS:
+            kept += [*remarks, line]
+        remarks = []  # what is said above a line that goes, goes with it
     text = "\n".join(kept) + "\n"
     text = text.replace("WantedBy=multi-user.target", "WantedBy=default.target")
     return text.replace("[Service]\n", f"[Service]\nEnvironment=SWEEPSCOPE_CONFIG={places.config}\n", 1)
