@@ -27,7 +27,7 @@ from acquire.contract.notify import Notifier
 from acquire.contract.places import endpoint, lock_service, prepare_run_dir
 
 from .addresses import ASKED, OFFERED, SPOKEN, Address
-from .keys import ALLOWED_NAME, SERVER_KEY_NAME, Allowed, KeyPair, load_allowed, load_pair, rig_folder
+from .keys import ALLOWED_NAME, SERVER_KEY_NAME, Allowed, KeyPair, load_allowed, load_pair, rig_folder, signature_of
 from .relay import Ends, Relay
 
 logger = logging.getLogger(__name__)
@@ -37,6 +37,7 @@ LOOK_S = 0.5
 REBIND_S = 5.0
 """Closing a listening port takes a moment; it is tried again for so long."""
 HEARTBEAT_MS, SILENCE_MS = 1000, 5000
+MAX_CLIENT = 100
 LOCAL_ONLY = ("shutdown",)
 """Commands that are not taken from another machine."""
 _MAKE = "'sudo sweepscope keys make --server' makes it"
@@ -146,14 +147,17 @@ class Gateway:
         return True
 
     def _judge(self, command: Command, who: str) -> Command:
-        name, entry = self.guard.by_key.get(who, ("", None))
+        _, entry = self.guard.by_key.get(who, ("", None))
         if entry is None or entry.may != "steer":
             raise CommandRefusedError("this key may not steer the rig")
         if command.name in LOCAL_ONLY:
             raise CommandRefusedError(f"{command.name} is not taken from another machine")
         # a command without a time would never be too old: it gets the oldest
         stamp = command.sent_mono_ns or 1
-        return msgspec.structs.replace(command, sent_mono_ns=stamp, client=f"{name}: {command.client}"[:128])
+        client = command.client
+        if client and not client.endswith(signature_of(who)):
+            client = client[:MAX_CLIENT] + signature_of(who)
+        return msgspec.structs.replace(command, sent_mono_ns=stamp, client=client)
 
     # ---- sockets ----
 

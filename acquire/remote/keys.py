@@ -5,6 +5,7 @@ Secrets are never logged, printed or sent; public keys are made to be shown.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
@@ -65,6 +66,11 @@ def rig_folder(config: LoadedConfig) -> Path:
     if config.path is not None and config.path.parent == SYSTEM_CONFIG:
         return SYSTEM_CONFIG / "keys"
     return own_folder()
+
+
+def signature_of(public: str) -> str:
+    """What is put behind the name of a far client, so that it cannot be taken for another's."""
+    return f" via key {hashlib.sha256(public.encode()).hexdigest()[:8]}"
 
 
 def check_public(text: str) -> str:

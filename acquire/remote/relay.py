@@ -46,7 +46,7 @@ class Relay:
         spoken: Mapping[str, Ends],
         asked: Ends,
         judge: Callable[[Command, str], Command],
-        listen: Callable[[str, list[zmq.Frame]], None] = lambda lane, parts: None,
+        listen: Callable[[str, list[zmq.Frame]], list[Any]] = lambda lane, parts: parts,
     ) -> None:
         """Put sockets together.
 
@@ -55,7 +55,7 @@ class Relay:
             asked: the command lane.
             judge: (command, who asks) -> the command as it goes on; raises CommandRefusedError with the reason.
                 Who asks is the public key of an authenticated peer, else empty.
-            listen: is shown every message of the spoken lanes.
+            listen: is shown every message of the spoken lanes and says how it goes on.
         """
         self._spoken, self._asked = dict(spoken), asked
         self._judge, self._listen = judge, listen
@@ -90,9 +90,8 @@ class Relay:
             parts = _next(ends.back)
             if parts is None:
                 return
-            self._listen(lane, parts)
             with suppress(zmq.Again):  # lossy, as the lane is
-                ends.front.send_multipart(parts, zmq.NOBLOCK, copy=False)
+                ends.front.send_multipart(self._listen(lane, parts), zmq.NOBLOCK, copy=False)
 
     def _take_commands(self) -> None:
         for _ in range(MAX_BURST):

@@ -12,7 +12,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,14 +19,14 @@ import msgspec
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from acquire.contract.codec import decode_as
+from acquire.contract.codec import decode_as, encode
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ProtocolError
 from acquire.contract.lanes import bind, open_socket
 from acquire.contract.messages import Command, Status
 
 from .addresses import ASKED, SPOKEN, Address
 from .gateway import keep_alive
-from .keys import KeyPair
+from .keys import KeyPair, signature_of
 from .relay import Ends, Relay
 
 POLL_MS = 50
@@ -52,6 +51,7 @@ class Tunnel:
         """Nothing is connected before the ``with``."""
         self.address = address
         self._server_key, self._pair, self._now_ns = server_key, pair, now_ns
+        self._signature = signature_of(pair.public)
         self._why: dict[str, str] = {}
         self._cut_off: Counter[str] = Counter()
         self._up: set[str] = set()
@@ -123,15 +123,21 @@ class Tunnel:
                 self._up.discard(lane)
             self._changed.notify_all()
 
-    def _listen(self, lane: str, parts: list[zmq.Frame]) -> None:
+    def _listen(self, lane: str, parts: list[zmq.Frame]) -> list[Any]:
         if lane != "status":
-            return
-        with suppress(ProtocolError):
-            sent_ns = decode_as(parts[0].buffer, Status).sent_mono_ns
-            with self._changed:
-                # late news makes our commands look older than they are, never younger
-                self._ahead_ns = sent_ns - self._now_ns()
-                self._changed.notify_all()
+            return parts
+        try:
+            status = decode_as(parts[0].buffer, Status)
+        except ProtocolError:
+            return parts
+        with self._changed:
+            # late news makes our commands look older than they are, never younger
+            self._ahead_ns = status.sent_mono_ns - self._now_ns()
+            self._changed.notify_all()
+        if not status.control.endswith(self._signature):
+            return parts
+        # who holds control through this tunnel knows itself by its own name
+        return [encode(msgspec.structs.replace(status, control=status.control.removesuffix(self._signature)))]
 
     def _judge(self, command: Command, _who: str) -> Command:
         if self._why.get(ASKED) == _REFUSED:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -20,27 +18,14 @@ from acquire.contract.lanes import bind, connect, receive
 from acquire.contract.messages import Command, Status
 from acquire.remote.addresses import OFFERED, SPOKEN, Address
 from acquire.remote.gateway import Gateway
-from acquire.remote.keys import KeyPair, allow, make_pair, revoke
+from acquire.remote.keys import KeyPair, allow, make_pair, revoke, signature_of
 from acquire.remote.tunnel import Tunnel
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
+from tests.fakes.ports import free_port
 from tui.cli import run
 from tui.client import ProgressFeed, RigClient
 
 DEADLINE_S = 20.0
-
-
-def free_port() -> int:
-    """The first of as many free ports as there are lanes; below those that the kernel gives to others."""
-    for _ in range(200):
-        port = random.randint(20_000, 31_000)
-        with ExitStack() as taken:
-            try:
-                for offset in range(len(OFFERED)):
-                    taken.enter_context(socket.socket()).bind(("127.0.0.1", port + offset))
-            except OSError:
-                continue
-            return port
-    raise AssertionError("no free ports")
 
 
 @dataclass
@@ -77,7 +62,7 @@ def far(run_dir: Path, tmp_path: Path) -> Iterator[Far]:
     allow(tmp_path, "watcher", pairs["watcher"].public, "watch")
     with ExitStack() as stack:
         daemon = stack.enter_context(FakeDaemon(run_dir))
-        gateway = Gateway(NetworkConfig(host="127.0.0.1", port=free_port()), run_dir, tmp_path)
+        gateway = Gateway(NetworkConfig(host="127.0.0.1", port=free_port(len(OFFERED))), run_dir, tmp_path)
         serve(gateway, stack)
         yield Far(gateway, daemon, tmp_path, pairs)
 
@@ -174,6 +159,17 @@ def test_a_list_that_cannot_be_read_lets_nobody_in(far: Far) -> None:
         tunnel.wait(DEADLINE_S)
 
 
+def test_who_holds_control_from_far_away_knows_itself_and_others_know_the_key(far: Far) -> None:
+    mine = "anna on pts/3"
+    far.daemon.show(control=mine + signature_of(far.pairs["ann"].public))
+    with far.tunnel("ann") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
+        tunnel.wait(DEADLINE_S)
+        assert client.status().control == mine
+    with far.tunnel("watcher") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
+        tunnel.wait(DEADLINE_S)
+        assert client.status().control.startswith(f"{mine} via key ")
+
+
 def test_shutting_down_is_not_taken_from_another_machine(far: Far) -> None:
     with far.tunnel("ann") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
         tunnel.wait(DEADLINE_S)
@@ -192,7 +188,7 @@ def test_commands_carry_the_rigs_clock_and_the_name_of_the_key(run_dir: Path, tm
         context = stack.enter_context(zmq.Context())
         status = stack.enter_context(bind(context, zmq.PUB, run_dir, "status"))
         commands = stack.enter_context(bind(context, zmq.ROUTER, run_dir, "command"))
-        gateway = Gateway(NetworkConfig(host="127.0.0.1", port=free_port()), run_dir, tmp_path)
+        gateway = Gateway(NetworkConfig(host="127.0.0.1", port=free_port(len(OFFERED))), run_dir, tmp_path)
         serve(gateway, stack)
         tunnel = stack.enter_context(Tunnel(gateway.address, gateway.public_key, ann))
         before_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
@@ -200,13 +196,13 @@ def test_commands_carry_the_rigs_clock_and_the_name_of_the_key(run_dir: Path, tm
         tunnel.wait(DEADLINE_S)
         mine = stack.enter_context(connect(context, zmq.DEALER, tunnel.run_dir, "command"))
         sent_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) - old_ns
-        mine.send(_encoded(Command(request_id="r1", name="goto", client="pts/3", sent_mono_ns=sent_ns)))
+        mine.send(_encoded(Command(request_id="r1", name="goto", client="anna on pts/3", sent_mono_ns=sent_ns)))
         assert commands.poll(DEADLINE_S * 1000)
         taken = receive(commands)
         after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)  # the last status came between before and after
         assert taken is not None and isinstance(taken.message, Command)
         assert sent_ns - after_ns <= taken.message.sent_mono_ns - far_ns <= sent_ns - before_ns
-        assert taken.message.client == "ann: pts/3"
+        assert taken.message.client == f"anna on pts/3{signature_of(ann.public)}"
 
 
 def _encoded(message: Command | Status) -> bytes:
@@ -221,19 +217,19 @@ def _say(status: zmq.Socket, far_ns: int) -> None:
 
 def test_a_gateway_without_a_key_does_not_begin(run_dir: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="keys make --server"):
-        Gateway(NetworkConfig(host="127.0.0.1", port=free_port()), run_dir, tmp_path)
+        Gateway(NetworkConfig(host="127.0.0.1", port=free_port(len(OFFERED))), run_dir, tmp_path)
 
 
 def test_an_address_that_is_not_ours_is_told(run_dir: Path, tmp_path: Path) -> None:
     make_pair(tmp_path / "server.key")
     with pytest.raises(ConfigError, match="network.host"):
-        Gateway(NetworkConfig(host="192.0.2.1", port=free_port()), run_dir, tmp_path)
+        Gateway(NetworkConfig(host="192.0.2.1", port=free_port(len(OFFERED))), run_dir, tmp_path)
 
 
 def test_nobody_at_the_address_is_told_in_time(tmp_path: Path) -> None:
     pair = make_pair(tmp_path / "ann.key")
     refused = pytest.raises(NoServiceError, match="nobody answers")
-    with Tunnel(Address("127.0.0.1", free_port()), pair.public, pair) as tunnel, refused:
+    with Tunnel(Address("127.0.0.1", free_port(len(OFFERED))), pair.public, pair) as tunnel, refused:
         tunnel.wait(0.3)
 
 

@@ -13,11 +13,14 @@ from typing import Any
 import pytest
 
 from tests.conftest import need
+from tests.fakes.ports import free_port
 from tests.fakes.throwaway_root import PACKAGES_INSIDE, SOURCE_INSIDE, RootUnavailableError, ThrowawayRoot
 
 pytestmark = [pytest.mark.shares_processes, pytest.mark.slow, pytest.mark.timeout(400)]
 SERVICES = ("daemon", "writer", "worker", "viewer")
-CONFIG = """
+# the root shares its network with the machine
+PAGE_PORT, GATE_PORT = free_port(), free_port(4)
+CONFIG = f"""
 [storage]
 data_dir = "/var/lib/sweepscope/scans"
 [camera]
@@ -29,10 +32,10 @@ max_rate_hz = 100.0
 [simulation]
 time_scale = 0.001
 [viewer]
-port = 18980
+port = {PAGE_PORT}
 [network]
 host = "127.0.0.1"
-port = 18990
+port = {GATE_PORT}
 """
 SCAN = ("sweepscope", "scan", "--wait", "--json")
 LONG = ("--steps-per-frame", "1", "--last-steps", "4400")
@@ -130,9 +133,9 @@ def test_a_stranger_reads_neither_scans_nor_the_pages_address(root: ThrowawayRoo
     root.run("cat", "/run/sweepscope/viewer.url", user="microscopist")
 
 
-_PAGE = """
+_PAGE = f"""
 import http.client
-page = http.client.HTTPConnection("127.0.0.1", 18980, timeout=5)
+page = http.client.HTTPConnection("127.0.0.1", {PAGE_PORT}, timeout=5)
 page.request("GET", "/")
 print(page.getresponse().status)
 """
@@ -156,7 +159,7 @@ def test_a_far_console_needs_a_key_that_the_rig_knows_and_nobody_reads_the_rigs_
         if user == "microscopist":
             root.run("sweepscope", "keys", "allow", user, key)
     root.until(lambda: show(root, "gateway", "ActiveState") == "active", "the gateway finds its key")
-    where = ("--connect", "tcp://127.0.0.1:18990", "--server-key", rigs_key)
+    where = ("--connect", f"tcp://127.0.0.1:{GATE_PORT}", "--server-key", rigs_key)
     assert json.loads(far(root, "microscopist", "status", "--json", *where).stdout)["state"] == "idle"
     assert far(root, "stranger", "status", *where, check=False).returncode == 3
     for user in ("microscopist", "stranger"):
