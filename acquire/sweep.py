@@ -124,6 +124,8 @@ class Sweep:
     _deaf: bool = False
     """The controller has failed: no frame that comes now can be trusted."""
     _skip_checks: bool = False
+    _has_writer: bool = False
+    """A writer was ready at least once."""
     _deadline_ns: int | None = None
     _first_pixels: NDArray[Any] | None = None
     _light_is_judged: bool = False
@@ -178,6 +180,9 @@ class Sweep:
     # ---- before the first frame ----
 
     def _on_writer_ready(self, event: WriterReady, now_ns: int) -> list[Action]:
+        if not self._has_writer and self.phase is Phase.SEAL:
+            self._deadline_ns = now_ns + self.settings.seal_ns
+        self._has_writer = True
         if self.phase is not Phase.WAIT_WRITER:
             return [Say("the writer is back: frames that were on the way are sent again")] if event.came_back else []
         said: list[Action] = [] if event.reserved else [Say("this file system cannot reserve space: watch the disk")]
@@ -406,7 +411,8 @@ class Sweep:
     def _finish(self, now_ns: int) -> list[Action]:
         # an interrupted sweep is not sealed, so that it can go on another time; the file learns why it was
         self.phase = Phase.SEAL
-        self._deadline_ns = now_ns + self.settings.seal_ns
+        # without a writer there is nothing to seal: one that is slow to come is waited for as at the start
+        self._deadline_ns = now_ns + (self.settings.seal_ns if self._has_writer else self.settings.writer_start_ns)
         if self.outcome is Outcome.RUNNING:
             self.outcome = Outcome.COMPLETE if self.window.prefix == self.count else Outcome.FAILED
         end = end_of_sweep(
@@ -522,7 +528,7 @@ class Sweep:
             return self._after_warm_up(now_ns)
         if self.phase is Phase.AMBIENT:
             return [Say("no ambient frame came: the camera does not answer"), *self._warm_up(now_ns)]
-        if self.phase is Phase.WAIT_WRITER:
+        if self.phase is Phase.WAIT_WRITER or (self.phase is Phase.SEAL and not self._has_writer):
             seconds = f"{self.settings.writer_start_ns / NS_PER_S:g}"
             return self._abandon(Outcome.FAILED, "no writer made the file ready", self._report("F05", seconds=seconds))
         if self.phase in (Phase.DRAIN, Phase.SEAL):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
+from acquire.control import Control
+from acquire.stages.protocol import Alarm
 
 from .rig_in_process import RigInProcess
 
@@ -166,6 +168,32 @@ def test_control_is_taken_over_given_back_and_then_anybody_may_act(start):
 def test_a_client_without_a_name_cannot_hold_control(start):
     with pytest.raises(CommandRefusedError, match="say who you are"):
         start().ask("control", action="take")
+
+
+def test_control_lapses_ten_seconds_after_its_holders_last_word():
+    control = Control()
+    second = 1_000_000_000
+    control.change("take", "anna", 0)
+    control.hear("jog", "anna", 5 * second)
+    assert control.holder(14 * second) == "anna" and control.holder(15 * second) == ""
+    control.hear("jog", "ben", 15 * second)
+
+
+# ---- a rig in fault ----
+
+
+def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start):
+    rig = start()
+    rig.ask("preview", on=True)
+    rig.daemon._inbox.put(Alarm("F23", "the limit switch was hit", 12, position_trusted=True))
+    status = rig.until(lambda s: s["state"] == "fault", "the alarm is shown")
+    assert status["faults"][0]["code"] == "F23" and status["activity"] == ""
+    for command, args in (("home", {}), ("preview", {"on": True}), ("expose", {})):
+        with pytest.raises(CommandRefusedError, match="the rig is in fault; read it, mend its cause, acknowledge it"):
+            rig.ask(command, **args)
+    rig.ask("acknowledge")
+    rig.ask("home")
+    assert rig.until(lambda s: s["state"] == "idle", "the stage is home")["faults"][0]["acknowledged"]
 
 
 # ---- estimate ----

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from acquire.actions import RaiseFault
 from acquire.contract.messages import AckItem, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
 from acquire.overlap import OverlapLimits
 from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Held, Triggered
+from acquire.sweep import Phase
 
 from .sweep_bench import MS, bench, done
 
@@ -46,6 +48,25 @@ def test_without_a_writer_the_sweep_is_refused_in_time_and_says_so():
     on.tick(5000)
     assert done(on) and on.sweep.outcome is Outcome.FAILED
     assert [fault.code for fault in on.faults] == ["F05"] and on.triggers == []
+
+
+def test_a_stop_before_any_writer_came_does_not_wait_for_a_seal():
+    sweep = bench(seal_ns=10**15).sweep
+    sweep.start(0)
+    sweep.handle(StopRequested(), 0)
+    sweep.handle(Tick(), 0)
+    assert sweep.phase is Phase.SEAL
+    said = sweep.handle(Tick(), sweep.settings.writer_start_ns)
+    assert sweep.phase is Phase.DONE and "F05" in [do.fault.code for do in said if isinstance(do, RaiseFault)]
+
+
+def test_a_stop_is_sealed_by_a_writer_that_was_slow_to_come():
+    sweep = bench(seal_ns=10**15).sweep
+    sweep.start(0)
+    for event in (StopRequested(), Tick(), WriterReady(reserved=True, came_back=False)):
+        sweep.handle(event, 0)
+    sweep.handle(Tick(), 10**14)
+    assert sweep.phase is Phase.SEAL
 
 
 def test_a_full_disk_is_found_before_anything_moves():
