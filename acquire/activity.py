@@ -43,7 +43,7 @@ class Activity:
 
     def on_no_frame(self, now_ns: int) -> None:
         """The picture that was asked for did not come in time."""
-        self.end("no picture came from the camera: is it connected?", failed=True)
+        self.end("no usable picture came from the camera: is it connected?", failed=True)
 
     def on_tick(self, now_ns: int) -> None:
         """Time has passed."""

@@ -115,7 +115,7 @@ class ExposureSearch(Activity):
 
     def on_no_frame(self, now_ns: int) -> None:
         """Nothing was learned."""
-        self._fail("no picture came from the camera: is it connected?")
+        self._fail("no usable picture came from the camera: is it connected?")
 
     def cancel(self) -> None:
         """The exposure is as it was."""

@@ -17,6 +17,7 @@ from acquire.contract.units import NS_PER_S, ns_from_ms, steps_to_um
 from acquire.stages.protocol import Alarm, Moved, SegmentDone, StageEvent, Stopped
 
 from .activity import Activity, Rest
+from .documents import what_is_wrong
 from .preview_lane import View
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Interlude:
         self.activity: Activity | None = None
         self.proposal: Proposal | None = None
         """What the last pre-scan proposed; forgotten when a sweep begins."""
-        self.counters = {"pictures_late": 0, "activities_done": 0, "activities_failed": 0}
+        self.counters = {"pictures_late": 0, "pictures_damaged": 0, "activities_done": 0, "activities_failed": 0}
         self._next_ns = 0
         self._owed_until_ns = 0
         """A picture was asked for and may come until then; 0: none was."""
@@ -93,8 +94,7 @@ class Interlude:
     def stop(self) -> None:
         """End the activity; the caller stops the stage. The preview goes on: it moves nothing."""
         if self.activity is not None:
-            self.activity.cancel()
-            self.activity.end("stopped", failed=True)
+            self._give_up(self.activity, "stopped")
             self._finish()
 
     def end_for_sweep(self, now_ns: int) -> None:
@@ -130,9 +130,7 @@ class Interlude:
         if self._owed_until_ns and now_ns > self._owed_until_ns:
             self._owed_until_ns = 0
             self.counters["pictures_late"] += 1
-            if self._asker is not None and self._asker is self.activity:
-                self._tell(lambda activity: activity.on_no_frame(now_ns))
-            self._snap_if_wanted(now_ns)
+            self._tell_asker(lambda activity: activity.on_no_frame(now_ns), now_ns)
         self._tell(lambda activity: activity.on_tick(now_ns))
         if self._wants_picture(now_ns):
             self._next_ns = now_ns + round(NS_PER_S / self.rate_hz)
@@ -169,14 +167,19 @@ class Interlude:
         if not self._owed_until_ns:
             return
         self._owed_until_ns = 0
+        if what_is_wrong(frame, self._daemon.camera_info.format):
+            self.counters["pictures_damaged"] += 1
+            self._tell_asker(lambda activity: activity.on_no_frame(now_ns), now_ns)
+            return
         position, exposure_ms = self._asked
         um = steps_to_um(position, self._daemon.config.rig.stage.um_per_microstep)
         self._daemon.preview.show(View(frame.pixels, position, um, exposure_ms), self._daemon.camera_info.format)
-        if self._asker is not None and self._asker is self.activity:
-            self._tell(lambda activity: activity.on_frame(frame, now_ns))
-        self._snap_if_wanted(now_ns)
+        self._tell_asker(lambda activity: activity.on_frame(frame, now_ns), now_ns)
 
-    def _snap_if_wanted(self, now_ns: int) -> None:
+    def _tell_asker(self, what: Callable[[Activity], None], now_ns: int) -> None:
+        """Tell the activity what became of the picture that it asked for; then comes the next one's turn."""
+        if self._asker is not None and self._asker is self.activity:
+            self._tell(what)
         if self._next_wanted:
             self._next_wanted = False
             self._tell(lambda _activity: self.snap(now_ns))
@@ -202,11 +205,19 @@ class Interlude:
         try:
             what(activity)
         except SweepscopeError as error:
-            activity.cancel()
-            activity.end(str(error), failed=True)
+            self._give_up(activity, str(error))
             self._daemon.rig.stage.stop()
         if activity.ended:
             self._finish()
+
+    @staticmethod
+    def _give_up(activity: Activity, words: str) -> None:
+        """End an activity; a device that cannot even put back what was changed is told of."""
+        activity.end(words, failed=True)
+        try:
+            activity.cancel()
+        except SweepscopeError as error:
+            activity.end(f"{words}; and it is not as it was before: {error}", failed=True)
 
     def _finish(self) -> None:
         activity, self.activity, self._next_wanted = self.activity, None, False

@@ -105,4 +105,4 @@ class Prescan(Activity):
     def on_no_frame(self, now_ns: int) -> None:
         """Nothing is proposed from half of the looks."""
         done, count = len(self._looks.positions), len(self._positions)
-        self.end(f"no picture came at look {done + 1} of {count}: is the camera connected?", failed=True)
+        self.end(f"no usable picture came at look {done + 1} of {count}: is the camera connected?", failed=True)

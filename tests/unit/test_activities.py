@@ -90,7 +90,33 @@ def test_a_camera_that_gives_no_picture_ends_the_search_in_words(start):
     rig = start(**BY_HAND, simulation__faults=lost, camera__frame_timeout_ms=50.0)
     light_on(rig)
     rig.ask("expose")
-    assert "no picture came" in ended(rig)["message"]
+    assert "no usable picture came" in ended(rig)["message"]
+
+
+@pytest.mark.parametrize("damage", ["shape", "type"])
+def test_a_damaged_picture_is_counted_and_judged_by_nobody(start, damage):
+    rig = start(**BY_HAND, simulation__faults=f"{damage}:1")
+    rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
+    status = ended(rig)
+    assert "no usable picture came at look 2 of 4" in status["message"]
+    assert status["counters"]["pictures_damaged"] == 1 and status["proposal"] is None
+
+
+def test_a_camera_that_fails_while_the_exposure_is_searched_ends_it_and_not_the_daemon(start, monkeypatch):
+    rig = start(**BY_HAND, camera__exposure_ms=1.0)
+    light_on(rig)
+
+    def refuse(_settings):
+        raise CommandRefusedError("the camera is unplugged")
+
+    real = rig.daemon.rig.camera.snap
+    monkeypatch.setattr(
+        rig.daemon.rig.camera, "snap", lambda: (real(), setattr(rig.daemon.rig.camera, "configure", refuse))
+    )
+    rig.ask("expose")
+    status = ended(rig)
+    assert "the camera is unplugged; and it is not as it was before" in status["message"]
+    assert status["counters"]["activities_failed"] == 1
 
 
 @pytest.mark.parametrize(
