@@ -128,6 +128,14 @@ def status_lines(status: Status) -> list[str]:
     """The whole state for a person who typed `sweepscope status`."""
     devices = f"{status.stage_kind or 'no'} stage, {status.camera_kind or 'no'} camera, lamp {_on(status.lamp_on)}"
     lines = [f"{sign_of(status.state).glyph} {state_words(status)}  {devices}", f"position  {position_words(status)}"]
+    if status.activity:
+        lines.append(f"doing     {status.activity}  {100 * status.activity_share:.0f} %")
+    if status.control:
+        lines.append(f"control   {status.control}")
+    if status.proposal is not None:
+        found = status.proposal
+        ends = f"{found.first_steps} to {found.last_steps}, {found.frames} frames, {found.exposure_ms:.3g} ms"
+        lines += [f"proposal  {ends}", *(f"warning   {warning}" for warning in found.warnings)]
     if status.scan_path:
         counts = (
             f"triggered {status.triggered}  received {status.received}  committed {status.committed}  "

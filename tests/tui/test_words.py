@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from acquire.contract.messages import FaultReport
+from acquire.contract.messages import FaultReport, Proposal
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tui.fit import shorten, spread
@@ -134,3 +134,16 @@ def test_the_right_part_of_a_spread_line_survives_any_width():
 def test_a_size_that_is_none_is_refused_with_an_example(text):
     with pytest.raises(ValueError, match="1024x768"):
         parse_size(text)
+
+
+def test_status_says_what_runs_beside_a_sweep_who_holds_control_and_what_was_proposed():
+    proposal = Proposal(
+        first_steps=300, last_steps=1020, exposure_ms=15.0, frames=241, seconds=20.0, nbytes=1, free_bytes=2,
+        warnings=["it is lit in the first look"],
+    )  # fmt: skip
+    said = status_lines(
+        replace(IDLE, activity="prescan", activity_share=0.42, control="anna on pts/3", proposal=proposal)
+    )
+    assert "doing     prescan  42 %" in said and "control   anna on pts/3" in said
+    assert "proposal  300 to 1020, 241 frames, 15 ms" in said and "warning   it is lit in the first look" in said
+    assert not any(line.startswith(("doing", "control", "proposal")) for line in status_lines(IDLE))
