@@ -84,6 +84,13 @@ class Attach:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """Lay beside the scan, at once, what must be known of it even if its end is never said."""
+
+    measured: dict[str, float]
+
+
+@dataclass(frozen=True)
 class Finish:
     """Tell writer and worker that no more frames follow."""
 
@@ -117,6 +124,7 @@ Action = (
     | CheckLimit
     | Publish
     | Attach
+    | Mark
     | Finish
     | RaiseFault
     | Say

@@ -18,7 +18,7 @@ from acquire.contract.layout import OWNER_LOCK_NAME, PARTIAL_NAME
 from acquire.contract.messages import FrameFormat, Start
 from acquire.contract.places import FileLock
 from acquire.contract.plan import SweepPlan
-from acquire.contract.scan_reader import ScanLayout, ScanReader
+from acquire.contract.scan_reader import ScanLayout, ScanReader, read_marks
 from acquire.contract.units import UM_PER_MM
 
 from .overlap import OverlapLimits
@@ -66,7 +66,8 @@ def _resume_from(reader: ScanReader) -> ResumeFrom:
     if last < 0:
         raise CommandRefusedError(f"{reader.layout.path} holds no frame yet: start a new scan")
     before = reader.frame(last - 1) if last > 0 and reader.present()[last - 1] else None
-    return ResumeFrom(last, reader.frame(last), before, reader.frame(0), _limits(reader.layout))
+    marks = read_marks(reader.layout.path.parent)
+    return ResumeFrom(last, reader.frame(last), before, reader.frame(0), _limits(reader.layout), marks)
 
 
 def _frame_to_compare(reader: ScanReader) -> int:

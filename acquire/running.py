@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import os
 import shutil
 import threading
 from collections.abc import Callable
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.lanes import Sender
-from acquire.contract.layout import OWNER_LOCK_NAME, TRUTH_NAME
+from acquire.contract.layout import MARKS_NAME, OWNER_LOCK_NAME, TRUTH_NAME
 from acquire.contract.messages import FaultReport, Image
 from acquire.stages.protocol import Alarm
 
@@ -136,6 +138,8 @@ class RunningScan:
                 stage.check_limit()
             case do.Attach(name, picture):
                 cv2.imwrite(str(self.prepared.folder / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            case do.Mark(measured):
+                self._mark(measured)
             case do.Finish(end):
                 self._lane.finish(end)
                 self._live.send(end)
@@ -143,6 +147,15 @@ class RunningScan:
                 self._on_fault(fault)
             case do.Say(text):
                 self._on_message(text)
+
+    def _mark(self, measured: dict[str, float]) -> None:
+        path = self.prepared.folder / MARKS_NAME
+        temporary = path.with_name(f".{MARKS_NAME}.{os.getpid()}.tmp")
+        try:
+            temporary.write_text(json.dumps(measured), encoding="utf-8")
+            temporary.replace(path)
+        except OSError as error:
+            logger.error("cannot write %s: %s; it will stand in the scan's end only", path, error)  # noqa: TRY400
 
     def _publish(self, image: Image, pixels: NDArray[Any]) -> None:
         """The lossless lane first; the live lane may drop, and counts it."""

@@ -30,6 +30,8 @@ class ResumeFrom:
     first: NDArray[Any]
     """Frame 0, for the drift check at the end."""
     limits: OverlapLimits
+    marks: dict[str, float] = field(default_factory=dict)
+    """What was marked before the interruption, by its name among the sweep's checks."""
 
 
 @dataclass(frozen=True)

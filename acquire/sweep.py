@@ -28,6 +28,7 @@ from .actions import (
     Disarm,
     Finish,
     HoldStage,
+    Mark,
     Publish,
     RaiseFault,
     ResumeStage,
@@ -137,6 +138,8 @@ class Sweep:
         self.settings = self.shooting.settings
         self.window = self.shooting.window
         self.count = self.settings.plan.count
+        if self.settings.resume is not None:
+            self.checks |= self.settings.resume.marks
         self._unproven = Unproven(self.settings.needs_proof)
         self._light = LampWatch((1 << self.settings.format.bit_depth) - 1)
 
@@ -315,7 +318,8 @@ class Sweep:
         self.checks.setdefault("light_changed_at", float(first))
         self.paused = self._light_is_judged = True
         fault = self._report("F27", detail=f"{what} since frame {first}")
-        return [RaiseFault(fault), *([HoldStage()] if self.phase is Phase.RUN else [])]
+        mark = Mark({"light_changed_at": self.checks["light_changed_at"]})
+        return [RaiseFault(fault), mark, *([HoldStage()] if self.phase is Phase.RUN else [])]
 
     def _grant(self, now_ns: int) -> list[Action]:
         if self.phase is not Phase.RUN or self.paused:

@@ -78,6 +78,10 @@ class ScanFrames:
         """What was measured around the sweep; empty until it was sealed, and in scans of earlier versions."""
         return self._reader.measured
 
+    def other_light(self) -> NDArray[np.bool_]:
+        """Frames that were taken after the light had changed, bool [n]."""
+        return self._reader.other_light()
+
     def usable(self) -> NDArray[np.bool_]:
         """Frames that are committed and good now, [n]."""
         return self._reader.present()

@@ -28,6 +28,7 @@ from .findings import NoiseFound, age_warning, calibration_used, damage, no_clou
 from .fold import Fold
 from .frames import ScanFrames
 from .geometry import coordinates, plane_table, rays
+from .light import light_counts, light_warnings, marked
 from .quality import Quality
 from .report import (
     Report,
@@ -144,10 +145,13 @@ def write_results(
     with timings.stage("write_maps"):
         write_maps(paths.maps, maps, settings, source)
     with timings.stage("report"):
+        other = frames.other_light()
         noise = _noise(refined, settings, frames)
         calibration = calibration_used(settings, frames.layout.start_time)
         report = Report(
-            counts=counts(frames.status(), cursor.counts, maps.counts, cloud) | (more_counts or {}),
+            counts=counts(frames.status(), cursor.counts, maps.counts, cloud)
+            | light_counts(other)
+            | (more_counts or {}),
             timings_s={},
             contrast_histogram=contrast_histogram(maps.minimum, maps.maximum, frames.layout.format.bit_depth),
             speed=sweep_speed(frames.layout.plan, settings.light_plane),
@@ -160,6 +164,7 @@ def write_results(
                 *no_cloud(settings, cloud is not None, paths.cloud),
                 *age_warning(settings, calibration),
                 *quality_warnings(maps.counts, noise),
+                *light_warnings(other, maps.counts),
             ],
             settings=_settings(settings),
             versions=versions(frames.layout.program_version),
@@ -199,9 +204,10 @@ def final_maps(
     )
     sequence = sequence_of(frames, present, settings)
     if settings.method == "linear":  # the paper's estimate, as it is: neither filtered nor weighed
+        maps = marked(maps, frames.other_light())
         return Refined(maps, assumed_noise(settings.noise_counts), np.full(maps.mask.shape, np.nan, np.float32))
     refined = refine(maps, settings.method, sequence, settings.noise_counts, early)
-    return dataclasses.replace(refined, maps=filtered(refined.maps))
+    return dataclasses.replace(refined, maps=marked(filtered(refined.maps), frames.other_light()))
 
 
 def _noise(refined: Refined, settings: Settings, frames: ScanFrames) -> NoiseFound | None:

@@ -24,3 +24,5 @@ class Quality(IntFlag):
     """A frame is missing between the two that the crossing lies between."""
     FILTERED = 128
     """Taken out by a later filter (sigma, isolation)."""
+    OTHER_LIGHT = 256
+    """The crossing, or the maximum that S rests on, lies in a frame that was taken after the light had changed."""

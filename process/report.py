@@ -43,6 +43,8 @@ class SweepChecks(msgspec.Struct, frozen=True):
     drift_px: float | None = None
     steps_lost: float | None = None
     brightness_change: float | None = None
+    light_changed_at: float | None = None
+    """First frame that was taken in another light (F27); the operator went on with it."""
 
 
 class TruthErrors(msgspec.Struct, frozen=True):

@@ -19,6 +19,8 @@ MAPS_NAME: Final = "maps.h5"
 CLOUD_NAME: Final = "cloud.ply"
 REPORT_NAME: Final = "report.json"
 TRUTH_NAME: Final = "truth.h5"
+MARKS_NAME: Final = "marks.json"
+"""What is known of a sweep before its end, by the names of ``End.checks``; the file learns it when it is sealed."""
 
 DATA: Final = "/entry/data/data"
 FRAME_FIELDS: Final[dict[str, str]] = {

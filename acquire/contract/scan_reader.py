@@ -24,7 +24,9 @@ from .layout import (
     DATA,
     FRAME_FIELDS,
     LAYOUT_VERSION,
+    MARKS_NAME,
     MEASURED,
+    MEASURED_BYTES,
     SCALARS,
     SEALED_NAME,
     VERBATIM,
@@ -207,6 +209,21 @@ def _check_fields(regions: dict[str, Region]) -> None:
             raise ScanFileError(f"/entry/data/{name} is {region.dtype} {region.shape}, not {dtype} [{count}]")
 
 
+def read_marks(folder: Path) -> dict[str, float]:
+    """What ``marks.json`` beside a scan says; empty where there is none."""
+    try:
+        return _numbers((folder / MARKS_NAME).read_text(encoding="utf-8", errors="replace")[:MEASURED_BYTES])
+    except OSError:
+        return {}
+
+
+def _numbers(text: str) -> dict[str, float]:
+    try:
+        return msgspec.json.decode(text or "{}", type=dict[str, float])
+    except msgspec.MsgspecError:
+        return {}
+
+
 class ScanReader:
     """A scan, partial or sealed. Every call reads the file anew, so each commit is seen at once."""
 
@@ -253,13 +270,21 @@ class ScanReader:
 
     @property
     def measured(self) -> dict[str, float]:
-        """What was measured around the sweep, by its name in the ``end`` message; empty before it was sealed."""
-        if MEASURED not in self.layout.regions:
-            return {}
-        try:
-            return msgspec.json.decode(str(self.scalar(MEASURED)) or "{}", type=dict[str, float])
-        except msgspec.MsgspecError:
-            return {}
+        """What was measured around the sweep, by its name in the ``end`` message; before it was sealed only marks."""
+        found = read_marks(self.layout.path.parent)
+        if MEASURED in self.layout.regions:
+            found |= _numbers(str(self.scalar(MEASURED)))
+        return found
+
+    def other_light(self) -> NDArray[np.bool_]:
+        """Frames that were exposed after the light had changed (F27), bool [n]; by place, and by time if re-taken."""
+        changed_at = self.measured.get("light_changed_at", -1.0)
+        if not 0 <= changed_at < self.count:
+            return np.zeros(self.count, np.bool_)
+        first, exposed_ns = int(changed_at), self.field("exposure_start_ns")
+        later = (exposed_ns > exposed_ns[first]) & (exposed_ns[first] > 0)
+        found: NDArray[np.bool_] = self.present() & (later | (np.arange(self.count) >= first))
+        return found
 
     @property
     def outcome(self) -> str:

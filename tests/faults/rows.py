@@ -496,6 +496,11 @@ def light_changes(rig: Rig) -> None:
         complete(rig, client, scan)
     with ScanReader(Path(scan["path"])) as reader:
         assert f"light changed at frame {changed_at}" in str(reader.scalar("reason"))
+        assert np.array_equal(reader.other_light(), np.arange(COUNT) >= changed_at), "other frames are marked"
+    results = reconstruct(Path(scan["path"]), ReconstructOptions()).results.report
+    assert results.sweep.light_changed_at == changed_at and results.counts["frames_other_light"] == COUNT - changed_at
+    assert 0 < results.counts["quality_other_light"] <= results.counts["crossings"]
+    assert any(f"light changed at frame {changed_at}" in warning for warning in results.warnings)
 
 
 ROWS: dict[str, Row] = {

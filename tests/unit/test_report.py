@@ -137,7 +137,8 @@ def test_a_report_reads_back_as_it_was_written(tmp_path):
 def test_what_is_not_known_stands_there_as_null(tmp_path):
     write_report(tmp_path / "report.json", report())
     found = json.loads((tmp_path / "report.json").read_text())
-    assert found["sweep"] == {"drift_px": 0.5, "steps_lost": None, "brightness_change": None}
+    unknown = {"steps_lost": None, "brightness_change": None, "light_changed_at": None}
+    assert found["sweep"] == {"drift_px": 0.5, **unknown}
     assert found["speed"]["ratio"] is None and found["truth"] is None
 
 
