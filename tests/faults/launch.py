@@ -77,9 +77,20 @@ def _live_lane_lies(flag: Path) -> None:
     RunningScan._publish = publish
 
 
+def _cleanup_fails(_flag: Path) -> None:
+    from acquire.cameras.simulated import SimulatedCamera
+    from acquire.contract.errors import CommandRefusedError
+
+    def fails(_self: Any) -> None:
+        raise CommandRefusedError("the camera does not listen any more")
+
+    SimulatedCamera.disarm = fails
+
+
 INJECTIONS: dict[str, Callable[[Path], None]] = {
     "EIO": _disk_says(errno.EIO),
     "ENOSPC": _disk_says(errno.ENOSPC),
+    "cleanup fails": _cleanup_fails,
     "other firmware": _other_firmware,
     "bits flip": _bits_flip,
     "the live lane lies": _live_lane_lies,

@@ -395,25 +395,75 @@ def clock_jumps(rig: Rig) -> None:
 
 
 def told_to_end(rig: Rig) -> None:
-    """F24: SIGTERM, or Ctrl-C three times, sweeping or paused: an honest end, and the service leaves with status 0."""
+    """F24: SIGTERM, or Ctrl-C three times, in each state, with cleanup steps that fail: an honest end and status 0."""
+    which = list(_STATES)[(rig.seed + int(10 * rig.at)) % len(_STATES)]
+    if rig.random.random() < 0.5:
+        rig.environ["SWEEPSCOPE_TEST_INJECT"] = "cleanup fails"
+    rig.set(LAMP__WARM_UP_S=0 if which != "armed" else 600)
+    rig.set(LIMITS__WINDOW_BYTES=30 * FRAME_BYTES)
     rig.start("daemon", "writer")
+    rig.at *= 0.3
     with rig.client() as client:
-        scan = rig.begin(client)
-        rig.at *= 0.6
-        rig.moment(client)
-        if rig.random.random() < 0.5:
-            client.request("pause")
-            rig.until_status(client, lambda s: s.state == "holding", "it holds")
+        rig.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        scan = _STATES[which](rig, client)
+    process = rig.processes["daemon"]
     if rig.random.random() < 0.5:
         for _ in range(2):
             rig.send_signal("daemon", signal.SIGINT)
-        status = rig.end("daemon", signal.SIGINT)
-    else:
-        status = rig.end("daemon")
+    rig.send_signal("daemon", signal.SIGTERM)
+    if which == "no credit":
+        rig.pause(0.3)
+        rig.send_signal("writer", signal.SIGCONT)
+    try:
+        assert process.wait(rig.deadline_s) == 0, f"told to end while {which} it left with another status"
+    except subprocess.TimeoutExpired:
+        raise AssertionError(f"told to end while {which} it stays") from None
+    if not scan:
+        return
     assert_promise(Path(scan["path"]), rig, "aborted")
-    assert status == 0
     with ScanReader(Path(scan["path"])) as reader:
         assert "F24" in str(reader.scalar("reason"))
+
+
+def _moving(rig: Rig, client: RigClient) -> dict[str, Any]:
+    client.request("goto", position_steps=4000)
+    return {}
+
+
+def _armed(rig: Rig, client: RigClient) -> dict[str, Any]:
+    scan = rig.begin(client)
+    rig.until((Path(scan["path"]) / "scan.partial.h5").exists, "the file is made")
+    return scan
+
+
+def _sweeping(rig: Rig, client: RigClient) -> dict[str, Any]:
+    scan = rig.begin(client)
+    rig.moment(client)
+    return scan
+
+
+def _paused(rig: Rig, client: RigClient) -> dict[str, Any]:
+    scan = _sweeping(rig, client)
+    client.request("pause")
+    rig.until_status(client, lambda s: s.state == "holding", "it holds")
+    return scan
+
+
+def _without_credit(rig: Rig, client: RigClient) -> dict[str, Any]:
+    scan = _sweeping(rig, client)
+    rig.send_signal("writer", signal.SIGSTOP)
+    rig.until_status(client, lambda s: s.hold_reason == "no credit", "the stage holds")
+    return scan
+
+
+_STATES: dict[str, Callable[[Rig, RigClient], dict[str, Any]]] = {
+    "idle": lambda _rig, _client: {},
+    "moving": _moving,
+    "armed": _armed,
+    "sweeping": _sweeping,
+    "paused": _paused,
+    "no credit": _without_credit,
+}
 
 
 def everything_killed(rig: Rig) -> None:

@@ -160,6 +160,57 @@ def test_a_stop_while_paused_ends_the_sweep():
     assert done(on) and on.sweep.outcome is Outcome.STOPPED
 
 
+def _waits_for_its_writer(on):
+    on.sweep.start(on.now_ns)
+
+
+def _takes_the_ambient_frame(on):
+    on.spoil = lambda frame_index, attempt: "missed" if frame_index < 0 else ""
+    _waits_for_its_writer(on)
+    on.feed(WriterReady(reserved=True, came_back=False))
+
+
+def _warms_its_lamp(on):
+    _waits_for_its_writer(on)
+    on.feed(WriterReady(reserved=True, came_back=False))
+
+
+def _has_no_credit(on):
+    on.acking = False
+    on.start()
+
+
+def _is_paused(on):
+    _has_no_credit(on)
+    on.feed(PauseRequested())
+
+
+def _waits_for_a_lost_frame(on):
+    on.spoil = lambda frame_index, attempt: "missed" if frame_index == 4 else ""
+    on.start()
+
+
+@pytest.mark.parametrize(
+    ("brought_to", "phase"),
+    [
+        (_waits_for_its_writer, "WAIT_WRITER"), (_takes_the_ambient_frame, "AMBIENT"), (_warms_its_lamp, "WARM_UP"),
+        (_has_no_credit, "RUN"), (_is_paused, "RUN"), (_waits_for_a_lost_frame, "RUN"),
+    ],
+)  # fmt: skip
+def test_told_to_end_in_any_phase_the_sweep_says_an_end_that_names_what_is_missing(brought_to, phase):
+    on = bench(20, slots=4)
+    brought_to(on)
+    assert on.sweep.phase.name == phase
+    on.feed(StopRequested(Outcome.ABORTED, "F24 told to end"))
+    on.ack_all()
+    for _ in range(4):
+        on.tick(60)
+    assert done(on) and on.sweep.outcome is Outcome.ABORTED
+    taken = len([image for image in on.published if image.role == "sweep"])
+    assert on.end is not None and on.end.end.missing == [(taken, 19)] and "F24" in on.end.end.reason
+    assert not on._segment, "the stage runs on"
+
+
 def test_an_alarm_of_the_stage_closes_the_sweep_as_aborted():
     on = bench(20, slots=4)
     on.acking = False
