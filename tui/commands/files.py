@@ -55,6 +55,21 @@ def reconstruct(scan: Path, as_json: bool, **options: object) -> int:
     return 0 if summary.complete else EXIT_INCOMPLETE
 
 
+@click.command()
+@_SCAN
+@click.option("--results", type=click.Path(path_type=Path), help="Folder of maps.h5 and report.json [beside the .h5].")
+@click.option("--out", type=click.Path(path_type=Path), help="File to write [report.html beside the results].")
+def page(scan: Path, results: Path | None, out: Path | None) -> None:
+    """Show a scan and what was made of it on one page, which opens in any browser without a network."""
+    from process.page.page import verdict, write_page
+    from process.page.results import read_results
+
+    found = read_results(scan, results)
+    target = out or (results or found.layout.path.parent) / "report.html"
+    write_page(target, found)
+    click.echo(f"{verdict(found).headline}\n{target}")
+
+
 def _show_json(summary: Summary) -> None:
     import msgspec
 
@@ -136,4 +151,4 @@ def recover(session: Session, where: Path | None, seal: bool, compact: bool, beg
     return EXIT_FAILED if unreadable else 0
 
 
-COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, verify, info, recover)
+COMMANDS: tuple[click.Command, ...] = (import_, reconstruct, page, verify, info, recover)
