@@ -5,8 +5,8 @@ Board coordinates are in mm about the middle of the pattern, turned so that the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import cv2
@@ -69,8 +69,9 @@ class Sighting:
     """All points were found, so that the origin is the middle of the board."""
     pitch_px: float
     """Typical distance of neighbours in the picture."""
-    sector_pixels: F8 | None = None
-    """[n, 2] the same corners by the sector detector's own estimate: better on small, foreshortened squares."""
+    others: Mapping[str, F8] = field(default_factory=dict)
+    """[n, 2] the same corners by other estimates: ``sector`` (the detector's own: better on small, foreshortened
+    squares) and ``gradient`` (where the picture's gradients meet)."""
 
     @property
     def object_mm(self) -> F8:
@@ -186,10 +187,22 @@ def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None
     whole = grid.shape[:2] == board.grid[::-1] and bool(known.all())
     middle = (np.array([grid.shape[1], grid.shape[0]]) - 1) / 2
     mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
-    if sector is not None and not steady.all():
-        return Sighting(sector[known], mm, whole, pitch_px, sector[known])
-    others = None if sector is None else sector[known]
-    return Sighting(refined[steady], mm[steady], whole, pitch_px, others)
+    others = {"gradient": _gradient(grey, pixels, pitch_px)}
+    if sector is not None:
+        others["sector"] = sector[known]
+        if not steady.all():
+            return Sighting(sector[known], mm, whole, pitch_px, others)
+    return Sighting(refined[steady], mm[steady], whole, pitch_px, {name: at[steady] for name, at in others.items()})
+
+
+def _gradient(grey: NDArray[np.uint8], places: F8, pitch_px: float) -> F8:
+    """Corners where the gradients around them meet (OpenCV's estimate), in a window of half the pitch."""
+    half = int(np.clip(round(pitch_px / 4), 2, 11))
+    start = places.astype(np.float32).reshape(-1, 1, 2)
+    found = cv2.cornerSubPix(
+        grey, start, (half, half), (-1, -1), (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+    )
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
 
 def grid_pitch_px(grid: F8) -> float:

@@ -106,7 +106,7 @@ def _number(value: float) -> float | None:
 
 
 def calibrate_camera(
-    pictures: Sequence[tuple[str, NDArray[np.generic]]], board: Board, stage: str | None = None
+    pictures: Sequence[tuple[str, NDArray[np.generic]]], board: Board, stage: str | None = None, corners: str = "auto"
 ) -> CameraResult:
     """The camera from named pictures of the board.
 
@@ -114,6 +114,7 @@ def calibrate_camera(
         pictures: (name, grey or RGB pixels), all of one size.
         board: the pattern.
         stage: name of the picture with the board lying flat on the stage: z = 0, origin in the middle of the pattern.
+        corners: estimate of the corners: saddle, sector, gradient, or auto (which of the first two fits better).
 
     Raises:
         CalibrationError: fewer than three usable views, parallel views, sizes that differ, a stage view that cannot
@@ -127,7 +128,7 @@ def calibrate_camera(
     if not good:
         raise CalibrationError(f"the board was found in none of {len(found)} pictures: {found[0].reason}")
     _enough(len(good), found)
-    sightings, estimate = choose_corners([view.sighting for view in good if view.sighting], size)
+    sightings, estimate = choose_corners([view.sighting for view in good if view.sighting], size, corners)
     names, dropped = [view.name for view in good], {}
     fit, held_out = choose_model(sightings, size)
     while (harm := harmful_view(sightings, fit, names.index(stage) if stage in names else None)) is not None:

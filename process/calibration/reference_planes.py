@@ -58,6 +58,8 @@ class ReferenceResult:
     planes: tuple[FramePlane, ...]
     edge: str
     method: str
+    camera_sd: tuple[float, float] | None = None
+    """What the camera's uncertainty does to a plane: mm at the middle of the scene, and degrees; None: not known."""
 
     @property
     def skew_mm(self) -> F8:
@@ -77,6 +79,8 @@ class ReferenceResult:
                 "source": "reference-planes",
                 "skew_mm": self.skew_mm.tolist(),
                 "skew_median_mm": float(np.median(self.skew_mm)),
+                "camera_sd_mm": self.camera_sd[0] if self.camera_sd else None,
+                "camera_sd_deg": self.camera_sd[1] if self.camera_sd else None,
             },
         }
 
@@ -129,7 +133,7 @@ def _region(values: Sequence[Any]) -> tuple[int, int, int, int]:
 
 
 def fit_reference_planes(
-    crossing: F8, planes: Sequence[ReferencePlane], camera: CameraModel, *, edge: str, method: str
+    crossing: F8, planes: Sequence[ReferencePlane], camera: CameraModel, *, edge: str, method: str, every: int = 1
 ) -> ReferenceResult:
     """One plane for each frame whose edge is seen on both of two planes.
 
@@ -139,6 +143,7 @@ def fit_reference_planes(
         camera: with its pose in the world.
         edge: as the sweep was folded.
         method: the crossing estimate.
+        every: of how many frames one gets its plane.
 
     Raises:
         CalibrationError: not two planes, parallel planes, or no frame that shows its edge on both.
@@ -152,7 +157,7 @@ def fit_reference_planes(
     low = max(np.ceil(np.percentile(t, 0.5)) for _, t in samples)
     high = min(np.floor(np.percentile(t, 99.5)) for _, t in samples)
     found: list[FramePlane] = []
-    for index in range(int(low), int(high) + 1):
+    for index in range(int(low), int(high) + 1, every):
         lines = [_line(points, t, float(index), plane) for (points, t), plane in zip(samples, planes, strict=True)]
         if lines[0] is None or lines[1] is None:
             if found:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .boards import Sighting
 from .bundle import MODELS, Fit, fit_camera, thinned
@@ -26,48 +27,62 @@ def choose_model(
 ) -> tuple[Fit, dict[str, float]]:
     """The fit with the distortion model that predicts views it has not seen best, and each model's held-out RMS in px.
 
-    A model with more terms is taken only if it predicts clearly better.
+    A model with more terms is taken only if it predicts clearly better. For the first radial term (every lens has
+    it) that is by WORTHWHILE; for more terms also by more than the standard error of the difference over the views:
+    what they fit by chance is far off where no board was.
     """
     first = fit_camera(views, size, "k1", start)
-    fits, errors = {}, {}
+    fits, squares = {}, {}
     for model in MODELS:
         fits[model] = fit_camera(views, size, model, start=first)
-        errors[model] = held_out_rms(views, size, fits[model])
+        squares[model] = held_out(views, size, fits[model])
     chosen = "none"
     for model in MODELS:
-        if errors[model] < errors[chosen] * (1 - WORTHWHILE):
+        gain = squares[chosen] - squares[model]
+        doubt = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+        if model == "k1":
+            doubt = 0.0
+        if gain.mean() > max(2 * WORTHWHILE * float(squares[chosen].mean()), doubt):
             chosen = model
-    return fits[chosen], errors
+    return fits[chosen], {model: float(np.sqrt(found.mean())) for model, found in squares.items()}
 
 
-def held_out_rms(views: Sequence[Sighting], size: tuple[int, int], fit: Fit) -> float:
-    """RMS in px of views that were not in the fit: their poses are free, the camera is that of the others."""
+def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: Fit) -> NDArray[np.float64]:
+    """Mean square in px^2 of each view that was not in the fit: its pose is free, the camera is that of the others."""
     folds = min(len(views), MOST_FOLDS)
     views = thinned(views, HELD_OUT_CORNERS)
-    total, count = 0.0, 0
+    found = np.zeros(len(views))
     for fold in range(folds):
         kept = [index for index in range(len(views)) if index % folds != fold]
         start = replace(fit, poses=tuple(fit.poses[index] for index in kept))
         others = fit_camera([views[index] for index in kept], size, fit.model, start=start)
         for index in range(fold, len(views), folds):
             view = views[index]
-            pose = find_pose(view.object_mm, view.pixels, others.matrix, others.distortion)
-            total += pose.rms_px**2 * len(view.pixels)
-            count += len(view.pixels)
-    return float(np.sqrt(total / count))
+            found[index] = find_pose(view.object_mm, view.pixels, others.matrix, others.distortion).rms_px ** 2
+    return found
 
 
-def choose_corners(views: Sequence[Sighting], size: tuple[int, int]) -> tuple[list[Sighting], str]:
-    """The views with the corner estimate that fits one camera better, and its name."""
-    own = list(views)
-    sector = [
-        view if view.sector_pixels is None else replace(view, pixels=view.sector_pixels, sector_pixels=None)
-        for view in views
-    ]
-    if all(view.sector_pixels is None for view in views):
-        return own, "saddle"
-    by_saddle, by_sector = fit_camera(own, size, "k1"), fit_camera(sector, size, "k1")
-    return (sector, "sector") if by_sector.rms_px < by_saddle.rms_px else (own, "saddle")
+def choose_corners(
+    views: Sequence[Sighting], size: tuple[int, int], wanted: str = "auto"
+) -> tuple[list[Sighting], str]:
+    """The views with one estimate of their corners, and its name.
+
+    ``auto`` is that of ``saddle`` and ``sector`` which fits one camera better; a view that lacks the estimate keeps its
+    own.
+    """
+    if wanted in ("saddle", "gradient"):
+        return _with_corners(views, wanted), wanted
+    sector = _with_corners(views, "sector")
+    if wanted == "sector":
+        return sector, wanted
+    if all("sector" not in view.others for view in views):
+        return list(views), "saddle"
+    by_saddle, by_sector = fit_camera(views, size, "k1"), fit_camera(sector, size, "k1")
+    return (sector, "sector") if by_sector.rms_px < by_saddle.rms_px else (list(views), "saddle")
+
+
+def _with_corners(views: Sequence[Sighting], name: str) -> list[Sighting]:
+    return [replace(view, pixels=view.others.get(name, view.pixels), others={}) for view in views]
 
 
 def harmful_view(views: Sequence[Sighting], fit: Fit, keep: int | None) -> tuple[int, str] | None:

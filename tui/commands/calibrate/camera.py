@@ -50,6 +50,13 @@ def read_pictures(images: tuple[Path, ...]) -> list[tuple[str, Any]]:
 @click.option("--squares", required=True, metavar="CxR", callback=size_option, help="Squares (or dots) of the board.")
 @click.option("--square-mm", required=True, type=float, help="Side of a square, or distance of two dots, in mm.")
 @click.option("--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True)
+@click.option(
+    "--corners",
+    type=click.Choice(["auto", "saddle", "sector", "gradient"]),
+    default="auto",
+    show_default=True,
+    help="Estimate of a chessboard's corners.",
+)
 @click.option("--stage", metavar="VIEW", help="Name of the picture with the board lying flat: it makes z = 0.")
 @click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
 @force_option
@@ -59,6 +66,7 @@ def camera(
     squares: tuple[int, int],
     square_mm: float,
     kind: str,
+    corners: str,
     stage: str | None,
     out: Path,
     force: bool,
@@ -72,7 +80,7 @@ def camera(
     from process.calibration.pages import camera_page, write_page
 
     name = Path(stage).name if stage else None
-    result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name)
+    result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name, corners)
     document = new_document(result.document())
     write_document(out, document, force=force)
     page = out.with_name(f"{out.stem}-camera.html")

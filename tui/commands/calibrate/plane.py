@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -147,7 +148,9 @@ def reference_planes_command(
     from acquire.contract.calibration import check_size, load_calibration
     from process.calibration.documents import read_document, write_document
     from process.calibration.reference_planes import fit_reference_planes, read_planes
+    from process.calibration.reference_uncertainty import camera_sd
     from process.calibration.sweeps import fold_sweep
+    from process.calibration.uncertainty import camera_covariance
 
     found = load_calibration(camera_file)[0]
     known = read_planes(planes_file, found.camera)
@@ -155,6 +158,13 @@ def reference_planes_command(
     check_size(found, sweep.format.width, sweep.format.height)
     result = fit_reference_planes(sweep.crossing, known, found.camera, edge=edge, method=method)
     document = read_document(camera_file)
+    covariance = camera_covariance(document)
+    if covariance is not None:
+        spread = camera_sd(
+            sweep.crossing, lambda camera: read_planes(planes_file, camera), found.camera, covariance,
+            edge=edge, method=method, frames=len(result.planes),
+        )  # fmt: skip
+        result = replace(result, camera_sd=spread)
     document["light_plane"] = result.document()
     write_document(out, document, force=force)
     skew = sorted(result.skew_mm.tolist())
@@ -162,4 +172,9 @@ def reference_planes_command(
         f"planes for frames {result.planes[0].t} to {result.planes[-1].t} (1-based); the two lines of a frame miss "
         f"each other by {skew[len(skew) // 2]:.2f} mm (median), {skew[-1]:.2f} mm at most"
     )
+    if result.camera_sd is not None:
+        words += (
+            f"\nthe camera's uncertainty alone moves them by {result.camera_sd[0]:.2f} mm at the middle of the scene "
+            f"and turns them by {result.camera_sd[1]:.3f} degrees (standard deviations)"
+        )
     print_json({"out": out, "light_plane": document["light_plane"]}) if as_json else click.echo(f"{words}\n{out}")
