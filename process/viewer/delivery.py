@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from .cloud import Cloud
 from .courier import Courier
 from .door import Page
-from .wire import BrowserLink, Meter
+from .wire import BrowserLink
 
 SLOW_BYTES_PER_S = 400_000.0
 """A link that carries less than this is called slow."""
@@ -36,13 +36,14 @@ class Delivery:
 
     def __init__(self, page: Page, cloud: Cloud) -> None:
         self._page = page
-        self._cloud = cloud
-        self._couriers: dict[int, tuple[Courier, Meter]] = {}
+        self.cloud = cloud
+        self._couriers: dict[int, tuple[Courier, BrowserLink]] = {}
+        self._posted: set[int] = set()
 
     @property
     def pending(self) -> bool:
-        """True while some browser lacks something."""
-        return any(courier.refined(self._cloud) < 1.0 for courier, _ in self._couriers.values())
+        """True while some browser lacks something, points or a file."""
+        return any(link.posting or courier.refined(self.cloud) < 1.0 for courier, link in self._couriers.values())
 
     def turn(self, now_ns: int) -> int:
         """One step for each browser whose last one has arrived; returns the bytes of points and colours."""
@@ -52,12 +53,30 @@ class Delivery:
         for client_id in set(clients) - set(self._couriers):
             meter = self._page.meter_of(client_id)
             if meter is not None:
-                self._couriers[client_id] = Courier(BrowserLink(clients[client_id], meter)), meter
-        return sum(courier.turn(self._cloud, now_ns) for courier, _ in self._couriers.values())
+                link = BrowserLink(clients[client_id], meter)
+                self._couriers[client_id] = Courier(link), link
+        return sum(self._serve(client_id, now_ns) for client_id in self._couriers)
+
+    def post(self, client_id: int, filename: str, content: bytes) -> bool:
+        """Let one browser save a file; False if it is gone."""
+        known = self._couriers.get(client_id)
+        if known is None:
+            return False
+        known[1].post(filename, content)
+        return True
+
+    def _serve(self, client_id: int, now_ns: int) -> int:
+        """Points and parts of files take turns."""
+        courier, link = self._couriers[client_id]
+        if link.idle() and client_id not in self._posted and link.post_part():
+            self._posted.add(client_id)
+            return 0
+        self._posted.discard(client_id)
+        return courier.turn(self.cloud, now_ns)
 
     def news(self) -> list[LinkNews]:
         """One line for each browser."""
         return [
-            LinkNews(client_id, meter.recent_bytes_per_s(), meter.rate_bytes_per_s, courier.refined(self._cloud))
-            for client_id, (courier, meter) in sorted(self._couriers.items())
+            LinkNews(client_id, link.meter.recent_bytes_per_s(), link.rate_bytes_per_s, courier.refined(self.cloud))
+            for client_id, (courier, link) in sorted(self._couriers.items())
         ]

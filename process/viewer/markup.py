@@ -67,12 +67,16 @@ class Picture:
     """What the colours mean; None: they are those of the photograph."""
     links: tuple[LinkNews, ...] = ()
     """One for each browser."""
+    opened: str = ""
+    """The older scan that is shown instead of the rig's; empty: the rig's."""
 
 
 def panel_html(snapshot: Snapshot, now_ns: int, picture: Picture) -> str:
     """State, progress, numbers, faults and what is missing."""
     head = heading(snapshot, now_ns)
     parts = [_heading(head, snapshot), *_faults(snapshot.status)]
+    if picture.opened:
+        parts.append(_remark(Remark("note", f"The cloud shown is an older scan's: {picture.opened}.")))
     if snapshot.status is not None:
         numbers = _progress(snapshot) + _table(_numbers(snapshot) + _legend(picture))
         parts.append(f'<div class="{"" if head.live else "sw-old"}">{numbers}</div>')

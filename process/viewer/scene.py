@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -66,10 +66,27 @@ class Scene:
         self._box: Bounds | None = None
         self._frame: viser.LineSegmentsHandle | None = None
 
-    def show(self, snapshot: Snapshot, news: TileNews, image: NDArray[np.uint8] | None, shown: RigShown) -> None:
-        """Take what changed, and move light, floor, camera and stage along; the couriers carry the points."""
+    def show(
+        self,
+        snapshot: Snapshot,
+        news: TileNews,
+        image: NDArray[np.uint8] | None,
+        shown: RigShown,
+        opened: Path | None = None,
+    ) -> None:
+        """Take what changed, and move light, floor, camera and stage along; the couriers carry the points.
+
+        Args:
+            snapshot: the state of the rig.
+            news: tiles that changed.
+            image: the camera's newest picture; None if there is no new one.
+            shown: which parts of the rig are drawn.
+            opened: folder of an older scan that is shown instead of the rig's.
+        """
         self.cloud.take(news)
-        calibration = self._book.of(snapshot.status)
+        calibration = self._book.of(str(opened) if opened is not None else _path(snapshot))
+        if opened is not None:
+            snapshot = replace(snapshot, status=None)  # the rig is not where it was for that scan
         self.eye_mm = camera_eye(calibration.camera) if calibration is not None else None
         self._field = field_of_view(calibration.camera) if calibration is not None else None
         bounds = self._stage_set(snapshot.status)
@@ -195,18 +212,22 @@ class CalibrationBook:
         self._looks_left = 0
         self._next_ns = 0
 
-    def of(self, status: Status | None) -> Calibration | None:
-        """The calibration of the status's scan; None where there is none or it cannot be read."""
-        if status is None or not status.scan_path:
+    def of(self, scan_path: str) -> Calibration | None:
+        """The calibration of a scan; None where there is none or it cannot be read. An empty path: the last one."""
+        if not scan_path:
             return self._found
         now_ns = self._clock.now_ns()
-        if status.scan_path != self._path:
-            self._path, self._found, self._looks_left, self._next_ns = status.scan_path, None, LOOKS, now_ns
+        if scan_path != self._path:
+            self._path, self._found, self._looks_left, self._next_ns = scan_path, None, LOOKS, now_ns
         if self._found is None and self._looks_left and now_ns >= self._next_ns:
             self._looks_left -= 1
             self._next_ns = now_ns + LOOK_AGAIN_NS
             self._found = _read_calibration(Path(self._path))
         return self._found
+
+
+def _path(snapshot: Snapshot) -> str:
+    return snapshot.status.scan_path if snapshot.status is not None else ""
 
 
 def _read_calibration(scan: Path) -> Calibration | None:

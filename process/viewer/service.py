@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
@@ -20,12 +21,13 @@ from acquire.contract.places import lock_service, prepare_run_dir
 from .camera_panel import CameraPanel
 from .commands import CommandLine
 from .door import Page, close_page, listen, open_page
-from .feed import Feed
+from .feed import Feed, Snapshot
 from .guard import Gate
 from .look import Look
 from .measuring import Measuring
 from .panel import Panel
 from .rig_panel import RigPanel
+from .scans_panel import ScansPanel
 from .scene import RigShown, Scene
 from .view_panel import ViewPanel
 
@@ -84,6 +86,7 @@ class Viewer:
         self._view: ViewPanel | None = None
         self._measuring: Measuring | None = None
         self._camera: CameraPanel | None = None
+        self._scans: ScansPanel | None = None
         self._watching = False
         self._panel = Panel(self._page, view_only=view_only)
         self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
@@ -101,6 +104,8 @@ class Viewer:
                 self._camera = CameraPanel(self._page)
             with tabs.add_tab("Measure"):
                 self._measuring = Measuring(self._page, self._scene.cloud, wake.set)
+            with tabs.add_tab("Scans"):
+                self._scans = ScansPanel(self._page, config.data_dir, self._scene.delivery, wake.set)
         self._feed = Feed(run_dir, wake, self._clock)
         self._pictured_ns = 0
 
@@ -117,6 +122,8 @@ class Viewer:
         if self._commands is not None:
             self._commands.close()
         close_page(self._page)
+        if self._scans is not None:
+            self._scans.close()
 
     def run(self, stop: threading.Event) -> None:
         """Put news on the page until ``stop`` is set (and ``wake`` with it)."""
@@ -134,23 +141,35 @@ class Viewer:
         snapshot = self._feed.snapshot()
         if now_ns - self._pictured_ns >= PICTURE_NS:
             self._pictured_ns = now_ns
-            pixels = self._feed.take_pixels()
-            shown = self._camera.shown if self._camera is not None else RigShown()
-            self._scene.show(snapshot, self._feed.take_tiles(), pixels, shown)
-            if self._camera is not None:
-                self._camera.show(snapshot, now_ns, pixels)
-            self._watch(bool(self._page.get_clients()))
-            if self._view is not None:
-                self._view.show(self._scene.cloud)
+            self._draw(snapshot, now_ns)
         if self._view is not None:
             self._scene.look(self._view.look, now_ns)
-        if self._measuring is not None:
-            self._measuring.forget(snapshot.cloud_scan_uid)
+        if self._measuring is not None and self._scans is not None:
+            self._measuring.forget(self._scans.title)
             self._measuring.turn(self._scene.eye_mm)
         self._scene.delivery.turn(now_ns)
-        self._panel.show(snapshot, now_ns, self._scene.picture)
+        opened = self._scans.opened if self._scans is not None else None
+        picture = self._scene.picture
+        self._panel.show(snapshot, now_ns, replace(picture, opened=opened.entry.label) if opened else picture)
         if self._controls is not None:
             self._controls.show(snapshot, now_ns)
+
+    def _draw(self, snapshot: Snapshot, now_ns: int) -> None:
+        """What costs a browser something: points, picture, lines."""
+        watched = bool(self._page.get_clients())
+        self._watch(watched)
+        news, opened = self._feed.take_tiles(), None
+        if self._scans is not None:
+            self._scans.turn(snapshot, now_ns, watched=watched)
+            news = self._scans.news(news)
+            opened = self._scans.opened.entry.folder if self._scans.opened is not None else None
+        pixels = self._feed.take_pixels()
+        shown = self._camera.shown if self._camera is not None else RigShown()
+        self._scene.show(snapshot, news, pixels, shown, opened)
+        if self._camera is not None:
+            self._camera.show(snapshot, now_ns, pixels)
+        if self._view is not None:
+            self._view.show(self._scene.cloud)
 
     def _watch(self, wanted: bool) -> None:
         """Camera pictures only while somebody looks at the page."""

@@ -7,7 +7,10 @@ is back. This leans on internals of viser 1.1.1 and websockets 16.1.1, like the 
 from __future__ import annotations
 
 import asyncio
+import mimetypes
+import secrets
 import time
+from collections import deque
 from collections.abc import Awaitable, Callable, MutableMapping
 from socket import SO_SNDBUF, SOL_SOCKET
 from typing import Any
@@ -29,6 +32,7 @@ BURST_S = 1.0
 """A browser may receive so many seconds' worth of its bound at once."""
 SEND_BUFFER_BYTES = 256 * 1024
 """Bytes that the kernel may hide from us."""
+PART_BYTES = 256 * 1024
 ROOT = "/cloud"
 
 
@@ -129,6 +133,7 @@ class BrowserLink:
     def __init__(self, client: viser.ClientHandle, meter: Meter) -> None:
         self._client = client
         self.meter = meter
+        self._parcels: deque[Any] = deque()
 
     @property
     def rate_bytes_per_s(self) -> float:
@@ -178,6 +183,39 @@ class BrowserLink:
     def remove(self, node: int) -> None:
         """Take a node away."""
         self._queue(_messages.RemoveSceneNodeMessage(_name(node)))
+
+    @property
+    def posting(self) -> bool:
+        """True while parts of a file wait."""
+        return bool(self._parcels)
+
+    def post(self, filename: str, content: bytes) -> None:
+        """Let the browser save a file; it goes in parts, between the points, so that words are never long behind."""
+        parts = [content[start : start + PART_BYTES] for start in range(0, len(content), PART_BYTES)]
+        uuid = secrets.token_hex(8)
+        kind = mimetypes.guess_type(filename, strict=False)[0] or "application/octet-stream"
+        self._parcels.append(
+            _messages.FileTransferStartDownload(
+                save_immediately=True,
+                transfer_uuid=uuid,
+                filename=filename,
+                mime_type=kind,
+                part_count=len(parts),
+                size_bytes=len(content),
+            )
+        )
+        self._parcels.extend(
+            _messages.FileTransferPart(None, transfer_uuid=uuid, part_index=index, content=part)
+            for index, part in enumerate(parts)
+        )
+
+    def post_part(self) -> bool:
+        """Send the next part of what was posted; False if there is none."""
+        if not self._parcels:
+            return False
+        with self._buffer().sanctioned_dead_writes():
+            self._client._websock_connection.queue_message(self._parcels.popleft())
+        return True
 
     def _buffer(self) -> Any:
         return self._client._websock_connection.get_message_buffer()
