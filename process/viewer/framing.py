@@ -28,7 +28,7 @@ VIEWS: Final[dict[str, tuple[float, float, float]]] = {
 """Named directions from the object to the eye."""
 MARGIN = 1.05
 ASPECT = 1.2
-"""Width by height of the picture beside the panel; a narrower window cuts the sides."""
+"""Width by height of the picture until the browser has told its own."""
 MIN_DISTANCE_MM = 0.01
 GROWTH = 1.15
 """Views follow a growing cloud in steps of this factor."""
@@ -57,15 +57,20 @@ class Pose:
         return shift > TOUCHED * other.distance_mm
 
 
-def overview(bounds: Bounds, direction: NDArray[np.float64] = DIRECTION) -> Pose:
+def overview(bounds: Bounds, direction: NDArray[np.float64] = DIRECTION, aspect: float = ASPECT) -> Pose:
     """The nearest pose along a unit ``direction`` from which all corners of the box are seen."""
     corners = np.array(list(itertools.product(*zip(bounds.low, bounds.high, strict=True)))) - bounds.centre
     right = np.cross(-direction, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     up = np.cross(right, -direction)
-    reach = np.maximum(np.abs(corners @ up), np.abs(corners @ right) / ASPECT)
+    reach = np.maximum(np.abs(corners @ up), np.abs(corners @ right) / aspect)
     distance = float((MARGIN * reach / math.tan(FOV_RAD / 2) + corners @ direction).max())
     return Pose(bounds.centre + max(distance, MIN_DISTANCE_MM) * direction, bounds.centre)
+
+
+def _aspect(client: viser.ClientHandle) -> float:
+    """Width by height of a browser's picture, within what makes sense."""
+    return min(4.0, max(0.25, float(getattr(client.camera, "aspect", ASPECT))))
 
 
 @dataclass
@@ -121,7 +126,7 @@ class Framing:
         camera.near, camera.far = pose.distance_mm / 200, pose.distance_mm * 50
 
     def _set(self, client: viser.ClientHandle, viewer: _Viewer) -> None:
-        pose = overview(self._bounds, viewer.direction)
+        pose = overview(self._bounds, viewer.direction, _aspect(client))
         viewer.set_to, viewer.set_ns = pose, self._clock.now_ns()
         with contextlib.suppress(RuntimeError, AssertionError), client.atomic():
             client.camera.near, client.camera.far = pose.distance_mm / 200, pose.distance_mm * 50
@@ -129,7 +134,9 @@ class Framing:
             client.camera.look_at = pose.target
 
     async def _joined(self, client: viser.ClientHandle) -> None:
-        self._viewers[client.client_id] = _Viewer(overview(self._bounds), self._clock.now_ns())
+        viewer = self._viewers[client.client_id] = _Viewer(overview(self._bounds), self._clock.now_ns())
+        if _aspect(client) < ASPECT:
+            self._set(client, viewer)  # a narrow window would cut the sides
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.states import Outcome
@@ -31,6 +33,7 @@ LIVE = "the rig's own"
 LIST_NS = 5 * NS_PER_S
 RENDER_TIMEOUT_S = 8.0
 WAITING = 32
+BACKGROUND = 20.0
 
 
 class ScansPanel:
@@ -124,8 +127,7 @@ class ScansPanel:
             pixels = client.get_render(height, width, timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError):
             return  # the browser is gone, or its tab is in the background
-        colours = cv2.cvtColor(pixels[:, :, :3], cv2.COLOR_RGB2BGR)
-        content = cv2.imencode(".png", colours)[1].tobytes()
+        content = cv2.imencode(".png", _on_black(pixels))[1].tobytes()
         self._put(lambda: self._hand_over(client, "sweepscope.png", content))
 
     # ---- in the main loop ----
@@ -227,6 +229,15 @@ class ScansPanel:
 
     def _say(self, words: str) -> None:
         write(self._text, content=f'<div class="sw"><div class="sw-beat">{escape(words)}</div></div>' if words else "")
+
+
+def _on_black(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A rendering [h, w, 3 or 4] RGB(A) as BGR before the dark that the page shows behind it."""
+    if pixels.shape[2] == 3:
+        return np.ascontiguousarray(pixels[:, :, ::-1])
+    share = pixels[:, :, 3:] / 255.0
+    mixed = share * pixels[:, :, 2::-1] + (1 - share) * BACKGROUND
+    return mixed.astype(np.uint8)
 
 
 def _file(kind: str, view: View) -> tuple[str, bytes]:

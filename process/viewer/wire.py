@@ -46,13 +46,19 @@ class Meter:
         self._allowed = BURST_S * max_bytes_per_s
         self._allowed_ns = time.monotonic_ns()
         self._sending = 0
-        self._unheard = 0
+        self._unheard: dict[int, int] = {}
+        self._rate_bytes_per_s = FIRST_RATE
         self._pongs: set[asyncio.Task[None]] = set()
         self._recent: list[tuple[int, int]] = []
         self.sent_bytes = 0
         """Of websocket messages that were given to the kernel."""
-        self.rate_bytes_per_s = FIRST_RATE
-        """Of large messages, from the send to the pong."""
+
+    @property
+    def rate_bytes_per_s(self) -> float:
+        """Of large messages, from the send to the pong; a pong that does not come lowers it all the while."""
+        now_ns = time.monotonic_ns()
+        waiting = [size * NS_PER_S / max(1, now_ns - begun_ns) for begun_ns, size in list(self._unheard.items())]
+        return min([self._rate_bytes_per_s, *waiting])
 
     @property
     def idle(self) -> bool:
@@ -71,6 +77,8 @@ class Meter:
         try:
             await self._wait_for_allowance(size)
             begun_ns = time.monotonic_ns()
+            if size >= LARGE_BYTES:
+                self._unheard[begun_ns] = size
             await self._send(data, *rest, **options)
         finally:
             self._sending -= 1
@@ -78,7 +86,6 @@ class Meter:
         self._recent = [entry for entry in self._recent[-64:] if begun_ns - entry[0] < 2 * NS_PER_S]
         self._recent.append((begun_ns, size))
         if size >= LARGE_BYTES:
-            self._unheard += 1
             task = asyncio.create_task(self._hear(size, begun_ns))
             self._pongs.add(task)
             task.add_done_callback(self._pongs.discard)
@@ -101,11 +108,11 @@ class Meter:
         try:
             await (await self._connection.ping())
             seconds = max(1e-4, (time.monotonic_ns() - begun_ns) / NS_PER_S)
-            self.rate_bytes_per_s += NEWEST_SHARE * (size / seconds - self.rate_bytes_per_s)
+            self._rate_bytes_per_s += NEWEST_SHARE * (size / seconds - self._rate_bytes_per_s)
         except Exception:  # noqa: BLE001 - a connection that ends says so elsewhere; here only its pong is missing
             return
         finally:
-            self._unheard -= 1
+            self._unheard.pop(begun_ns, None)
 
 
 def metered(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import zmq
+from zmq.utils import garbage
 
 from acquire.contract.lanes import Sender, bind, receive
 from acquire.contract.messages import (
@@ -149,6 +150,7 @@ class FakeRig:
             for sender in self._senders:
                 sender.socket.close(0)
             context.term()
+            garbage.gc.stop()  # pyzmq's thread that frees what was sent without a copy; it starts again when needed
 
     def _bind(self, context: Any, kind: int, lane: str) -> Sender:
         self._senders.append(Sender(bind(context, kind, self.run_dir, lane)))

@@ -1,0 +1,164 @@
+import io
+import json
+import re
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from plyfile import PlyData
+
+from acquire.contract.errors import ScanFileError
+from process.viewer.cloud import Cloud
+from process.viewer.exports import View, page_html, ply_bytes
+from process.viewer.feed import TileNews
+from process.viewer.figure import figure_png
+from process.viewer.library import list_scans, open_scan
+from process.viewer.look import Look
+from process.viewer.scans_panel import _on_black
+from process.viewer.tiles import Tile
+from tests.fakes.fake_results import hill_tiles
+
+
+def tiles() -> dict[int, Tile]:
+    return {
+        header.tile: Tile(
+            header.origin_mm,
+            np.stack([points[axis] for axis in "xyz"], axis=1),
+            np.stack([points[channel] for channel in ("red", "green", "blue")], axis=1),
+            points["provisional"] != 0,
+            points["crossing"],
+            points["sigma_um"],
+            np.full(len(points), 16, np.uint16),
+        )
+        for header, points in hill_tiles(4, 3, 12)
+    }
+
+
+def view(**look: Any) -> View:
+    cloud = Cloud(Look(**look))
+    cloud.take(TileNews(tiles=tiles()))
+    cloud.settle(10**12)
+    return View(
+        "a <b>frog</b>", cloud.tiles, cloud.look, cloud.range, cloud.plane, cloud.legend(), [("Outcome", "complete")]
+    )
+
+
+@pytest.fixture
+def data_dir(tmp_path: Path) -> Path:
+    scan = tmp_path / "20260102T030405Z-frog"
+    scan.mkdir()
+    (scan / "cloud.ply").write_bytes(ply_bytes(tiles()))
+    (scan / "report.json").write_text(json.dumps({"outcome": "stopped", "counts": {"points": 1728}}))
+    (tmp_path / "20260101T000000Z-empty").mkdir()
+    return tmp_path
+
+
+def test_scans_with_a_cloud_are_listed_newest_first_with_outcome_and_points(data_dir: Path) -> None:
+    shutil.copytree(data_dir / "20260102T030405Z-frog", data_dir / "20260305T000000Z-later")
+    (data_dir / "20260305T000000Z-later" / "report.json").write_text("{broken")
+    labels = [entry.label for entry in list_scans(data_dir)]
+    assert labels == ["20260305T000000Z-later (no report)", "20260102T030405Z-frog (stopped, 1,728 points)"]
+    assert list_scans(data_dir / "nowhere") == []
+
+
+def test_an_opened_scan_has_every_point_with_what_is_known_of_it(data_dir: Path) -> None:
+    opened = open_scan(list_scans(data_dir)[0])
+    before = np.concatenate([tile.points_mm() for tile in tiles().values()])
+    after = np.concatenate([tile.points_mm() for tile in opened.tiles.values()])
+    assert np.sort(after, axis=0) == pytest.approx(np.sort(before, axis=0), abs=1e-6)
+    for tile in opened.tiles.values():
+        assert tile.quality is not None
+        assert (tile.quality == 16).all()
+        assert not tile.provisional.any()
+
+
+@pytest.mark.parametrize("damage", [b"", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n"])
+def test_a_cloud_that_is_none_of_ours_is_refused_in_one_line(data_dir: Path, damage: bytes) -> None:
+    entry = list_scans(data_dir)[0]
+    (entry.folder / "cloud.ply").write_bytes(damage)
+    with pytest.raises(ScanFileError) as caught:
+        open_scan(entry)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_downloaded_cloud_has_the_fields_of_cloud_ply() -> None:
+    vertices = PlyData.read(io.BytesIO(ply_bytes(tiles())))["vertex"].data
+    assert vertices.dtype.names == ("x", "y", "z", "red", "green", "blue", "sigma_um", "crossing", "quality")
+    assert len(vertices) == 4 * 3 * 12 * 12
+    assert len(PlyData.read(io.BytesIO(ply_bytes({})))["vertex"].data) == 0
+
+
+def test_the_page_holds_its_numbers_and_legend_escaped_and_asks_nobody_for_anything() -> None:
+    page = page_html(view(mode="height"))
+    assert "a &lt;b&gt;frog&lt;/b&gt;" in page
+    for words in ("complete", "Points shown", "1,728", "Height over z = 0", "__VISER_EMBED_DATA__"):
+        assert words in page
+    assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=[\"']https?://", page)
+
+
+def test_a_page_without_points_is_still_a_page() -> None:
+    empty = View("nothing", {}, Look(), None, None, None)
+    assert "nothing" in page_html(empty)
+    assert figure_png(empty).startswith(b"\x89PNG")
+
+
+def test_the_figure_shows_the_cloud_in_the_colours_of_the_page() -> None:
+    drawn = cv2.imdecode(np.frombuffer(figure_png(view(mode="height")), np.uint8), cv2.IMREAD_COLOR)
+    blue, green, red = np.moveaxis(drawn.astype(int), 2, 0)
+    violet = (blue > red + 20) & (green < 90)
+    assert violet.mean() > 0.05, "the low ground in the lowest colours"
+
+
+def test_a_rendering_without_background_gets_that_of_the_page() -> None:
+    half = np.zeros((1, 2, 4), np.uint8)
+    half[0, 1] = (200, 100, 50, 255)
+    assert _on_black(half)[0].tolist() == [[20, 20, 20], [50, 100, 200]]
+
+
+def test_going_back_to_the_rigs_own_scan_shows_what_came_meanwhile(data_dir: Path) -> None:
+    panel = _panel(data_dir)
+    first, second, *_ = tiles().items()
+    assert panel.news(TileNews(tiles=dict([first]))).tiles == dict([first])
+    panel._wanted = "older"
+    panel._show("older", open_scan(list_scans(data_dir)[0]))
+    shown = panel.news(TileNews(tiles=dict([second])))
+    assert shown.reset
+    assert sum(tile.count for tile in shown.tiles.values()) == 1728
+    assert panel.news(TileNews(tiles=dict([second]))).tiles == {}
+    panel._open("the rig's own")
+    back = panel.news(TileNews())
+    assert (back.reset, back.tiles) == (True, dict([first, second]))
+    panel.close()
+
+
+def _panel(data_dir: Path) -> Any:
+    from process.viewer.scans_panel import ScansPanel
+
+    def widget(*_: Any, **__: Any) -> Any:
+        return SimpleNamespace(
+            value="",
+            content="",
+            options=(),
+            on_update=lambda _callback: None,
+            on_click=lambda _callback: None,
+            __enter__=lambda: None,
+        )
+
+    class Folder:
+        def __enter__(self) -> None: ...
+
+        def __exit__(self, *_: object) -> None: ...
+
+    gui = SimpleNamespace(
+        add_dropdown=widget,
+        add_checkbox=widget,
+        add_html=widget,
+        add_button_group=widget,
+        add_button=widget,
+        add_folder=lambda *_: Folder(),
+    )
+    return ScansPanel(SimpleNamespace(gui=gui), data_dir, SimpleNamespace(), lambda: None)
