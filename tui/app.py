@@ -19,6 +19,7 @@ from textual.message import Message
 from acquire.contract.messages import Status
 from acquire.contract.states import Outcome, State
 from tui.draft import Draft
+from tui.driver import ConsoleDriver, Meter
 from tui.logbook import LogBook, local_time
 from tui.messages import (
     CommandAnswered,
@@ -41,6 +42,7 @@ from tui.view import RigView
 from tui.words import MOVING_STATES, is_running, newest_fault, outcome_line, position_words, state_words
 
 STOP_KEY = "space"
+LOOK_S = 0.5
 RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last word."""
 HARMLESS = frozenset({"stop", "status", "estimate", "acknowledge"})
@@ -123,12 +125,18 @@ class ConsoleApp(App[None]):
         self.draft = options.draft
         self.logbook = LogBook(clock)
         self.view = RigView(me=options.me)
+        self.meter = Meter()
+        """What the terminal's link carries."""
         self._link = make_link(self.post_message)
         self._on_started = on_started
         self._screens: dict[str, RigScreenBase] = {}
         self._answers: dict[str, OnAnswer] = {}
         self._stop_answered_ns: int | None = None
         self._stops_sent_early = 0
+        """STOPs that were sent and not yet announced."""
+        self._stops_to_swallow = 0
+        """Keys that are still on their way and whose STOP was sent and announced already."""
+        self._unshown = False
         self._faults_said: set[tuple[str, int]] = set()
         for theme in THEMES:
             self.register_theme(theme)
@@ -143,6 +151,7 @@ class ConsoleApp(App[None]):
         for number in (signal.SIGTERM, signal.SIGHUP):
             self._leave_on(number)
         self.set_interval(RENEW_CONTROL_S, self._renew_control)
+        self.set_interval(LOOK_S, self._look)
         self._link.start()
         if self._on_started is not None:
             self._on_started(self)
@@ -152,6 +161,17 @@ class ConsoleApp(App[None]):
             asyncio.get_running_loop().add_signal_handler(number, self.exit)
         except (RuntimeError, ValueError):  # not the main thread: somebody else minds the signals
             return
+
+    def _look(self) -> None:
+        """Show what had to wait for the terminal, and what the terminal's link carries."""
+        words = self.meter.words() if self.meter.governor.answers or self.meter.governor.deaf else ""
+        if self._unshown or words != self.view.link_words:
+            self.refresh_view(link_words=words)
+
+    def ask_terminal(self) -> None:
+        """Let the terminal say when it has taken everything so far."""
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.ask()
 
     def on_unmount(self) -> None:
         """End the input thread."""
@@ -168,10 +188,11 @@ class ConsoleApp(App[None]):
         return next((screen for screen in reversed(self.screen_stack) if isinstance(screen, RigScreenBase)), None)
 
     def refresh_view(self, **changes: Any) -> None:
-        """Change what is known and show it."""
+        """Change what is known and show it; while the terminal takes nothing, it is shown later."""
         if changes:
             self.view = replace(self.view, **changes)
-        if not self.screen_stack:
+        self._unshown = self.meter.stalled()
+        if not self.screen_stack or self._unshown:
             return
         screen = self.rig_screen
         if screen is not None and screen.is_mounted:
@@ -231,6 +252,8 @@ class ConsoleApp(App[None]):
         """What became of a command."""
         on_answer = self._answers.pop(message.request_id, None)
         if message.name == "stop":
+            if self._stops_sent_early:  # the answer was quicker than the key's own way through the loop
+                self._announce_stop()
             self._stop_answered_ns = message.at_mono_ns
         if on_answer is not None:
             on_answer(message)
@@ -347,16 +370,24 @@ class ConsoleApp(App[None]):
         await super().on_event(event)
 
     def stop_early(self) -> None:
-        """Send STOP from the thread that reads the keys, even while nothing can be painted."""
+        """Send STOP from the thread that reads the keys, even while nothing can be painted; the key itself follows."""
         self._stops_sent_early += 1
         self._link.send("stop")
 
     def action_stop(self) -> None:
         """End all motion."""
-        if self._stops_sent_early:
-            self._stops_sent_early -= 1
-        else:
+        if self._stops_to_swallow:
+            self._stops_to_swallow -= 1
+            return
+        if not self._stops_sent_early:
+            self._stops_sent_early += 1
             self._link.send("stop")
+        self._announce_stop()
+        self._stops_to_swallow -= 1
+
+    def _announce_stop(self) -> None:
+        self._stops_sent_early -= 1
+        self._stops_to_swallow += 1
         self._stop_answered_ns = None
         self.view = replace(self.view, stop_words="STOP sent")
         self.say("STOP sent; waiting for the rig's own word", "warning")
@@ -480,7 +511,7 @@ def run_console(
         return RigLink(post, run_dir=run_dir, command_timeout_s=command_timeout_s, client=options.me)
 
     prepare_terminal()
-    app = ConsoleApp(make_link, options, on_started=on_started)
+    app = ConsoleApp(make_link, options, on_started=on_started, driver_class=ConsoleDriver)
     app.run(mouse=False)
     if app.return_code:
         print("the console ended by an error; if the terminal looks odd, type: reset", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
@@ -51,6 +52,12 @@ class Terminal:
             assert time.monotonic() < end_s, f"{words} never came:\n{screen}"
             time.sleep(0.05)
 
+    def wait_until_gone(self, word: str, deadline_s: float = 10.0) -> None:
+        end_s = time.monotonic() + deadline_s
+        while word in self.screen:
+            assert time.monotonic() < end_s, f"{word} stayed:\n{self.screen}"
+            time.sleep(0.05)
+
     def close(self) -> None:
         subprocess.run([*self._tmux, "kill-server"], check=False, capture_output=True, timeout=10)
 
@@ -81,7 +88,9 @@ def test_a_sweep_is_started_paused_resumed_and_stopped_from_a_real_terminal(term
         terminal.wait_for("stopped: ", "frames are safe", "stopped at")
         terminal.press("q")
         terminal.wait_for("STATUS=0")
-        assert [name for name, _ in daemon.commands] == ["scan", "pause", "resume", "stop"]
+        sent = [name for name, _ in daemon.commands if name != "estimate"]
+        # on a slow machine an unanswered command is sent once more with the same id, which a real daemon does once
+        assert [name for name, _ in itertools.groupby(sent)] == ["scan", "pause", "resume", "stop"]
 
 
 def test_the_console_starts_without_a_daemon_and_reconnects_by_itself(terminal, run_dir):
@@ -107,7 +116,7 @@ def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_i
         terminal.press("Enter")
         terminal.wait_for("SWEEPING")
         terminal.resize(160, 50)
-        terminal.wait_for("SWEEPING", "triggered", "SPACE = STOP")
+        terminal.wait_for("SWEEPING", "lag: camera", "SPACE = STOP")
         terminal.resize(40, 12)
         terminal.wait_for("smaller than")
         terminal.press("Space")
@@ -120,14 +129,14 @@ def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_i
 def test_the_demonstration_opens_the_console_starts_at_once_asks_before_it_ends_and_ends_all(terminal, tmp_path):
     demo = (sys.executable, "-m", "tui.cli", "demo", "--size", "128x96", "--data-dir", str(tmp_path / "data"))
     terminal.open(*demo, width=100, height=30)
-    screen = terminal.wait_for("SWEEPING", "frames/s", "?token=", deadline_s=60.0)
+    screen = terminal.wait_for("SWEEPING", "frames/s", "?token=", deadline_s=100.0)
     assert "http://127.0.0.1:" in screen
     services = [child for child in psutil.process_iter() if str(tmp_path) in _open_logs(child)]
     assert len(services) == 4
     terminal.press("q")
     terminal.wait_for("y  end it and leave")
     terminal.press("n")
-    terminal.wait_for("p pause")
+    terminal.wait_until_gone("y  end it and leave")
     terminal.press("q")
     terminal.wait_for("y  end it and leave")
     end_s = time.monotonic() + 10.0

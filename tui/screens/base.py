@@ -37,6 +37,8 @@ class RigScreenBase(Screen[None]):
     """Actions that move or change the rig: absent with --read-only, refused while somebody else holds control."""
     NEEDS_RIG: ClassVar[frozenset[str]] = frozenset()
     """Actions that need the daemon without changing anything; those of ``CHANGES`` always need it."""
+    IN_PANES: ClassVar[frozenset[str]] = frozenset()
+    """Ids of bindings whose keys stand in the panes: the line of keys has them last."""
     SHOWS_LOG: ClassVar[bool] = False
     """True if the body shows the log itself; otherwise the newest line of news stands above the keys."""
     WANTS_PICTURES: ClassVar[bool] = False
@@ -103,7 +105,8 @@ class RigScreenBase(Screen[None]):
         header, fault, news, keys = self._frame
         yield header
         yield fault
-        yield Container(*self.body(), id="body")
+        with Container(id="body"):
+            yield from self.body()
         small = f"this terminal is smaller than {LEAST_WIDTH} x {LEAST_HEIGHT}: make it larger; SPACE = STOP works"
         yield Static(small, id="small")
         if not self.SHOWS_LOG:
@@ -131,12 +134,13 @@ class RigScreenBase(Screen[None]):
         self.show(view)
 
     def offers(self) -> list[tuple[str, str]]:
-        """Key and words of everything that can be done now, the screen's own first."""
-        found = []
-        for binding in [*_shown(self._bindings), *_shown(self.shell._bindings)]:
-            if self._exists(binding) and not self.why_not_now(binding.action):
-                found.append((self.shell.key_words(binding), binding.description))
-        return found
+        """Key and words of everything that can be done now; what the panes show beside its value comes last."""
+        last = {binding.action for binding in self.actions() if binding.id in self.IN_PANES}
+        return [
+            (self.shell.key_words(binding), binding.description)
+            for binding in sorted(self.actions(), key=lambda binding: binding.action in last)
+            if not self.why_not_now(binding.action)
+        ]
 
     def actions(self) -> list[Binding]:
         """Everything that this screen can ever do, for help and palette."""
@@ -170,4 +174,9 @@ def action_name(action: str) -> str:
 
 
 def _shown(bindings: BindingsMap) -> list[Binding]:
-    return [binding for _, binding in bindings if binding.show and binding.description]
+    """Each action once, under the first of its keys."""
+    found: dict[str, Binding] = {}
+    for _, binding in bindings:
+        if binding.show and binding.description:
+            found.setdefault(binding.action, binding)
+    return list(found.values())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,11 +18,6 @@ TYPE_AHEAD_S = 0.3
 SPACE_HINT = "SPACE is STOP here too: type _ for a space"
 
 R = TypeVar("R")
-
-
-def valid_name(text: str) -> bool:
-    """True if ``text`` can be part of a folder's name."""
-    return re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", text) is not None
 
 
 class Dialog(ModalScreen[R]):
@@ -101,15 +95,18 @@ class Form(Dialog[Any]):
         parse: Callable[[dict[str, str]], Any],
         *,
         done: str = "takes it over",
+        lines: Sequence[str] = (),
     ) -> None:
-        """``parse`` raises ValueError with words for people; ``done`` says what Enter does."""
+        """``parse`` raises ValueError with words for people; ``done`` says what Enter does; ``lines`` stand above."""
         super().__init__()
-        self._title_words, self._fields, self._parse, self._done = title, fields, parse, done
+        self._title_words, self._fields, self._parse, self._done, self._lines = title, fields, parse, done, lines
 
     def compose(self) -> ComposeResult:
         """Labels and fields, a hint, room for what is wrong."""
         with Vertical() as box:
             box.border_title = self._title_words
+            for line in self._lines:
+                yield Static(line, classes="error" if line.startswith("!") else "", markup=False)
             with Grid():
                 for field in self._fields:
                     yield Static(field.label, markup=False)

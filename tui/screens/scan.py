@@ -2,69 +2,216 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 from textual.app import ComposeResult
-from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.events import Resize
+from textual.timer import Timer
 
-from acquire.contract.states import HoldReason, State
+from acquire.contract.states import State
+from tui import scan_rules
 from tui.draft import Draft
+from tui.estimate import Estimate
+from tui.jog import JogGate, clip, next_size
+from tui.messages import CommandAnswered
+from tui.scan_forms import parse_name, parse_plan, parse_position, parse_words
+from tui.screens import scan_keys
+from tui.screens.adjust import Adjust
 from tui.screens.base import RigScreenBase
-from tui.screens.dialogs import Field, Form, valid_name
+from tui.screens.dialogs import Field, Form
 from tui.view import RigView
 from tui.widgets.log_tail import LogTail
-from tui.widgets.panes import StatePane, SweepPane
-from tui.words import scan_name, state_words
+from tui.widgets.picture import MODES
+from tui.widgets.picture_pane import PicturePane
+from tui.widgets.scan_panes import LightPane, PlanPane, ProgressPane, StagePane
+from tui.words import is_running, scan_name
+
+TALL = 30
+"""From this height on plan and progress are both in view."""
+SETTLE_S = 0.3
+"""The estimate is asked for when the plan has not changed for so long."""
+PREVIEW_HZ = 5.0
+HOLD_RATE_STEPS_PER_S = 400.0
+_SETTINGS = {
+    "exposure_ms": ("exposure", "ms", (0.01, 1000.0)),
+    "gain": ("gain", "dB", (0.0, 48.0)),
+    "brightness_percent": ("black level", "%", (0.0, 100.0)),
+}
 
 
 class ScanScreen(RigScreenBase):
     """Prepare a sweep and watch it."""
 
     NAME = "scan"
+    SUMMARY = "Set the light with the specimen under it, set first and last, look at the estimate, start."
     SHOWS_LOG = True
     WANTS_PICTURES = True
-    CHANGES = frozenset({"start", "pause", "resume"})
-    BINDINGS = [
-        Binding("s", "start", "start", id="scan.start"),
-        Binding("p", "pause", "pause", id="scan.pause"),
-        Binding("r", "resume", "resume", id="scan.resume"),
-    ]
+    CHANGES = scan_keys.CHANGES
+    IN_PANES = scan_keys.IN_PANES
+    BINDINGS = scan_keys.BINDINGS
+    DEFAULT_CSS = """
+    ScanScreen #left { width: 1fr; height: 100%; }
+    ScanScreen #right { width: 44; height: 100%; }
+    ScanScreen.wide #right { width: 54; }
+    ScanScreen #log { height: 5; }
+    ScanScreen.tall #log { height: 8; }
+    ScanScreen.running.short PlanPane { display: none; }
+    ScanScreen.resting.short ProgressPane { display: none; }
+    """
 
     def __init__(self, *, ascii_only: bool = False) -> None:
         super().__init__(ascii_only=ascii_only)
-        self._state = StatePane(ascii_only=ascii_only)
-        self._sweep = SweepPane(ascii_only=ascii_only)
+        self._picture = PicturePane(mode="half", ascii_only=ascii_only)
+        self._stage = StagePane(self.key_of, ascii_only=ascii_only)
+        self._light = LightPane(self.key_of, ascii_only=ascii_only)
+        self._plan = PlanPane(self.key_of, ascii_only=ascii_only)
+        self._progress = ProgressPane(self.key_of, ascii_only=ascii_only)
         self._log = LogTail(ascii_only=ascii_only)
+        self._gate = JogGate()
+        self._fine_steps = 3
+        self._settling: Timer | None = None
+        self._estimated: tuple[Draft, float | None] | None = None
 
     def body(self) -> ComposeResult:
-        """State, sweep, log."""
-        yield self._state
-        yield self._sweep
-        yield self._log
+        """Picture and log on the left, the panes on the right."""
+        with Horizontal():
+            with Vertical(id="left"):
+                yield self._picture
+                yield self._log
+            with Vertical(id="right"):
+                yield self._stage
+                yield self._light
+                yield self._plan
+                yield self._progress
+
+    def on_mount(self) -> None:
+        """The picture as this console was told to draw it."""
+        self._picture.live.set_mode(self.shell.options.picture)
+
+    def on_resize(self, event: Resize) -> None:
+        """Choose the layout."""
+        super().on_resize(event)
+        self.set_class(event.size.height >= TALL, "tall")
+        self.set_class(event.size.height < TALL, "short")
+
+    # ---- news ----
 
     def show(self, view: RigView) -> None:
         """Hand the newest values to the panes."""
-        self._state.status, self._state.connected, self._state.stop_words = view.status, view.connected, ""
-        self._sweep.status, self._sweep.progress, self._sweep.connected = view.status, view.progress, view.connected
-        self._state.changed()
-        self._sweep.changed()
+        running = is_running(view.status)
+        self.set_class(running, "running")
+        self.set_class(not running, "resting")
+        self._stage.fine_steps, self._plan.draft = self._fine_steps, self.shell.draft
+        self._progress.note(view)
+        for pane in (self._stage, self._light, self._plan, self._progress):
+            pane.view = view
+            pane.changed()
         self._log.show(self.shell.logbook)
+        self._show_picture(view)
+        self._go_on_jogging(view)
+        self._estimate_when_settled(view)
+
+    def _show_picture(self, view: RigView) -> None:
+        meter = self.shell.meter
+        if self._picture.offer(view, meter.governor.detail, may_paint=meter.may_send_picture()):
+            self.call_after_refresh(self.shell.ask_terminal)
+
+    def key_of(self, action: str) -> tuple[str, bool]:
+        """The key of an action and whether it can be done now."""
+        for binding in self.actions():
+            if binding.action == action:
+                return self.shell.key_words(binding), not self.why_not_now(action)
+        return "", False
 
     def why_not(self, action: str) -> str:
         """The rig's state decides."""
+        return scan_rules.why_not(action, self.view.status)
+
+    # ---- the plan and what it takes ----
+
+    def _change(self, draft: Draft | None) -> None:
+        if draft is not None:
+            self.shell.draft = draft
+            self.show_all(self.view)
+
+    def _estimate_when_settled(self, view: RigView) -> None:
+        status = view.status
+        if not view.connected or status is None or is_running(status) or not status.position_trusted:
+            return
+        wanted = (self.shell.draft, status.camera.get("exposure_ms"))
+        if wanted == self._estimated:
+            return
+        self._estimated = wanted
+        self._plan.estimate = Estimate()
+        if self._settling is not None:
+            self._settling.stop()
+        self._settling = self.set_timer(SETTLE_S, self._ask_estimate)
+
+    def _ask_estimate(self) -> None:
+        draft = self.shell.draft
+
+        def take(answer: CommandAnswered) -> None:
+            if draft == self.shell.draft:
+                self._plan.estimate = Estimate.of_answer(ok=answer.ok, detail=answer.detail, result=answer.result)
+                self._plan.changed()
+
+        self.send("estimate", take, **draft.scan_args())
+
+    def action_set_first(self) -> None:
+        """First position from where the stage is."""
+        assert self.view.status is not None
+        self._change(replace(self.shell.draft, first_steps=self.view.status.position_steps))
+
+    def action_set_last(self) -> None:
+        """Last position from where the stage is."""
+        assert self.view.status is not None
+        self._change(replace(self.shell.draft, last_steps=self.view.status.position_steps))
+
+    def action_plan(self) -> None:
+        """Type the plan."""
+        draft, status = self.shell.draft, self.view.status
+        travel = status.travel_steps if status is not None else (0, 0)
+        fields = [
+            Field("first", "first", str(draft.first_steps), help="microsteps, or um (5010um), or mm (5.01mm)"),
+            Field("last", "last", str(draft.last_steps), help="below first sweeps the other way"),
+            Field("steps", "steps per frame", str(draft.steps_per_frame)),
+            Field("settle", "settle ms", f"{draft.settle_ms:g}"),
+            Field("mode", "mode", draft.mode, help="step stops for each frame, fly triggers at constant speed"),
+        ]
+        self.shell.push_screen(Form("plan", fields, lambda texts: parse_plan(texts, draft, travel)), self._change)
+
+    def action_mode(self) -> None:
+        """Step or fly."""
+        self._change(replace(self.shell.draft, mode="step" if self.shell.draft.mode == "fly" else "fly"))
+
+    def action_words(self) -> None:
+        """Name, specimen, operator, notes, tags."""
+        draft = self.shell.draft
+        fields = [
+            Field("name", "name", draft.name),
+            Field("specimen", "specimen", draft.specimen, words=True),
+            Field("operator", "operator", draft.operator, words=True),
+            Field("notes", "notes", draft.notes, words=True),
+            Field("tags", "tags", " ".join(draft.tags), words=True, help="separated by spaces or commas"),
+        ]
+        self.shell.push_screen(Form("what is scanned", fields, lambda texts: parse_words(texts, draft)), self._change)
+
+    def action_prescan(self) -> None:
+        """A quick look that proposes the bounds."""
+        self.send("prescan")
+
+    def action_use_proposal(self) -> None:
+        """Take over bounds and exposure of the pre-scan."""
         status = self.view.status
-        if status is None:
-            return "nothing is known of the rig"
-        wanted = {
-            "start": {State.IDLE, State.PREVIEW},
-            "pause": {State.SWEEPING, State.HOLDING},
-            "resume": {State.HOLDING},
-        }
-        if action in wanted and status.state not in wanted[action]:
-            return f"not while the rig is {state_words(status)}"
-        if action == "resume" and status.hold_reason != HoldReason.PAUSED:
-            return f"the sweep holds by itself ({status.hold_reason}) and goes on by itself"
-        return ""
+        if status is None or status.proposal is None:
+            return
+        self._change(self.shell.draft.with_proposal(status.proposal))
+        if not self.why_not_now("adjust") and status.camera.get("exposure_ms") != status.proposal.exposure_ms:
+            self.send("camera", exposure_ms=status.proposal.exposure_ms)
+
+    # ---- the sweep ----
 
     def action_start(self) -> None:
         """Ask for a name and start a sweep."""
@@ -72,12 +219,17 @@ class ScanScreen(RigScreenBase):
         previous = scan_name(status).partition("-")[2] if status is not None else ""
         name = draft.name if draft.name != Draft.name or not previous else previous
 
-        def start(name: str | None) -> None:
-            if name is not None:
-                self.shell.draft = replace(self.shell.draft, name=name)
+        def start(chosen: str | None) -> None:
+            if chosen is not None:
+                self.shell.draft = replace(self.shell.draft, name=chosen)
                 self.send("scan", **self.shell.draft.scan_args())
 
-        form = Form("start a sweep", [Field("name", "name", name)], _parse_name, done="starts the sweep")
+        estimate = self._plan.estimate
+        lines = [estimate.words(draft), *(f"! {words}" for words in estimate.warnings)]
+        if estimate.refused:
+            lines.append(f"! it would be refused: {estimate.refused}")
+        fields = [Field("name", "name", name)]
+        form = Form("start a sweep", fields, lambda texts: parse_name(texts["name"]), done="starts it", lines=lines)
         self.shell.push_screen(form, start)
 
     def action_pause(self) -> None:
@@ -88,8 +240,133 @@ class ScanScreen(RigScreenBase):
         """Go on."""
         self.send("resume")
 
+    # ---- light and camera ----
 
-def _parse_name(texts: dict[str, str]) -> str:
-    if not valid_name(texts["name"]):
-        raise ValueError("that is no name: use 1 to 64 letters, digits, - _ . without spaces")
-    return texts["name"]
+    def action_preview(self) -> None:
+        """Pictures on or off."""
+        status = self.view.status
+        on = not (status is not None and (status.activity == "preview" or status.state == State.PREVIEW))
+        self.send("preview", on=on, rate_hz=PREVIEW_HZ)
+
+    def action_lamp(self) -> None:
+        """Lamp on or off."""
+        self.send("lamp", on=not (self.view.status is not None and self.view.status.lamp_on))
+
+    def action_expose(self) -> None:
+        """Find the exposure once."""
+        self.send("expose")
+
+    def action_adjust(self, setting: str) -> None:
+        """Change one setting of the camera."""
+        status = self.view.status
+        assert status is not None
+        title, unit, widest = _SETTINGS[setting]
+        limits = status.camera_limits.get(setting, widest)
+        value = status.camera.get(setting, limits[0])
+        setter = _Setter(self, setting)
+        self.shell.push_screen(Adjust(title, unit, value, limits, setter.set))
+
+    def action_picture(self) -> None:
+        """The next way to draw the picture."""
+        mode = MODES[(MODES.index(self._picture.live.mode) + 1) % len(MODES)]
+        self._picture.live.set_mode(mode)
+        self.say(f"picture: {'half blocks' if mode == 'half' else 'characters' if mode == 'mono' else 'off'}")
+
+    # ---- the stage ----
+
+    def action_jog(self, steps: int) -> None:
+        """One bounded move; what the keyboard repeats meanwhile is ignored."""
+        status = self.view.status
+        assert status is not None
+        move = clip(
+            status.position_steps, steps * self._fine_steps, status.travel_steps, self.shell.draft.um_per_microstep
+        ) if status.position_trusted else None  # fmt: skip
+        wanted = move.steps if move is not None else steps * self._fine_steps
+        if move is not None and move.words:
+            self.say(f"jog: {move.words}", "warning")
+        if wanted:
+            self._send_jog(self._gate.press(wanted, time.monotonic()))
+
+    def _send_jog(self, steps: int) -> None:
+        if not steps:
+            return
+
+        def answered(answer: CommandAnswered) -> None:
+            self._gate.answered(ok=answer.ok, at_ns=answer.at_mono_ns)
+            if not answer.ok:
+                self.say(f"jog: {answer.detail}", "error")
+
+        self.send("jog", answered, steps=steps)
+
+    def _go_on_jogging(self, view: RigView) -> None:
+        status = view.status
+        if status is None:
+            return
+        if view.stop_words:
+            self._gate.forget()
+        moving = status.state == State.MOVING
+        self._send_jog(self._gate.heard(moving=moving, said_ns=status.sent_mono_ns, now_s=time.monotonic()))
+
+    def action_hold(self, direction: int) -> None:
+        """Move on while the key is held: each fresh press renews the lease."""
+        if self._gate.hold(time.monotonic()):
+            self.send("jog_hold", self._held, direction=direction, rate_steps_per_s=HOLD_RATE_STEPS_PER_S)
+
+    def _held(self, answer: CommandAnswered) -> None:
+        if not answer.ok:
+            self.say(f"held move: {answer.detail}", "error")
+
+    def action_size(self, direction: int) -> None:
+        """Another fine step."""
+        self._fine_steps = next_size(self._fine_steps, direction)
+        self.show_all(self.view)
+
+    def action_home(self) -> None:
+        """Find the zero."""
+        self.send("home")
+
+    def action_zero(self) -> None:
+        """Make this position the zero."""
+        self.send("zero")
+
+    def action_goto(self) -> None:
+        """Ask where to."""
+        draft, status = self.shell.draft, self.view.status
+        assert status is not None
+        low, high = status.travel_steps
+        where = Field("where", "go to", str(status.position_steps), help=f"microsteps {low} to {high}, or um (5010um)")
+
+        def go(position: int | None) -> None:
+            if position is not None:
+                self.send("goto", position_steps=position)
+
+        def parse(texts: dict[str, str]) -> int:
+            return parse_position(texts["where"], draft.um_per_microstep)
+
+        self.shell.push_screen(Form("go to", [where], parse, done="moves"), go)
+
+
+class _Setter:
+    """Sends a setting that changes quickly: one command under way, then the newest value."""
+
+    def __init__(self, screen: ScanScreen, setting: str) -> None:
+        self._screen, self._setting = screen, setting
+        self._busy = False
+        self._next: float | None = None
+
+    def set(self, value: float) -> None:
+        """Send the value, or keep it until the last one was answered."""
+        if self._busy:
+            self._next = value
+            return
+        self._busy = True
+        self._screen.send("camera", self._answered, **{self._setting: value})
+
+    def _answered(self, answer: CommandAnswered) -> None:
+        self._busy = False
+        if not answer.ok:
+            self._next = None
+            self._screen.say(f"camera: {answer.detail}", "error")
+        elif self._next is not None:
+            value, self._next = self._next, None
+            self.set(value)

@@ -74,8 +74,7 @@ class Header(Lines):
         if status is None:
             return ""
         lamp = "on" if status.lamp_on else "off"
-        version = f" {status.stage_version}" if status.stage_version else ""
-        return f"{status.stage_kind}{version} stage  {status.camera_kind} camera  lamp {lamp}"
+        return f"{status.stage_kind} stage  {status.camera_kind} camera  lamp {lamp}"
 
     def _tabs_line(self, width: int) -> Text:
         text = Text(no_wrap=True)

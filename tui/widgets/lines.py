@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rich.text import Text
 from textual.widget import Widget
+
+KEY_STYLE = "bold #f0b429"
 
 
 class Lines(Widget):
@@ -35,3 +39,22 @@ class Lines(Widget):
     def plain(self) -> str:
         """The text without styles, as it would be painted now."""
         return self.text_for(self.content_size.width).plain
+
+
+KeyOf = Callable[[str], tuple[str, bool]]
+"""For an action: its key as people write it (empty: there is no such action here), and whether it can be done now."""
+
+
+class KeyedLines(Lines):
+    """Lines in which each value stands beside the key that changes it."""
+
+    def __init__(self, key_of: KeyOf, *, id: str, ascii_only: bool = False) -> None:  # noqa: A002
+        super().__init__(id=id, ascii_only=ascii_only)
+        self._key_of = key_of
+
+    def key(self, text: Text, action: str, words: str, style: str = "") -> Text:
+        """Append ``<key> <words>``; the key is dim where the action cannot be done now, absent where there is none."""
+        key, possible = self._key_of(action)
+        if key:
+            text.append(key, style=KEY_STYLE if possible else "dim").append(" ")
+        return text.append(words, style=style)

@@ -1,0 +1,95 @@
+"""Turns key presses into bounded moves: one under way, at most one waiting, whatever the keyboard repeats; pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MIN_GAP_S = 0.05
+"""No more than twenty moves per second."""
+STEP_SIZES = (1, 3, 10, 30, 100, 300)
+"""Sizes of the fine step in microsteps; the fast one is ten times as large."""
+FAST_FACTOR = 10
+HOLD_EVERY_S = 0.08
+"""A held key renews the lease at most so often."""
+ANSWER_S = 6.0
+"""A move whose end was never heard of no longer keeps others back."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A move within the travel."""
+
+    steps: int
+    """What is left of the move; 0: nothing."""
+    words: str
+    """Which limit shortened it; empty if none did."""
+
+
+def clip(position_steps: int, steps: int, travel_steps: tuple[int, int], um_per_microstep: float) -> Clip:
+    """``steps`` shortened to the travel, with the limit's name and place."""
+    low, high = travel_steps
+    if low >= high:
+        return Clip(steps, "")
+    wanted = position_steps + steps
+    target = min(wanted, max(high, position_steps)) if steps > 0 else max(wanted, min(low, position_steps))
+    left = target - position_steps
+    if target == wanted:
+        return Clip(steps, "")
+    name = "upper" if steps > 0 else "lower"
+    return Clip(left, f"the {name} limit is {target} microsteps ({target * um_per_microstep:.1f} um)")
+
+
+class JogGate:
+    """One move in flight and at most one that waits."""
+
+    def __init__(self) -> None:
+        self._waiting = 0
+        self._in_flight = False
+        self._answered_ns: int | None = None
+        self._since_s = float("-inf")
+        self._held_s = float("-inf")
+        self.ignored = 0
+        """Presses that changed nothing because a move was waiting already."""
+
+    def press(self, steps: int, now_s: float) -> int:
+        """A key was pressed; returns the microsteps to send now, 0 to send nothing."""
+        if self._in_flight and now_s - self._since_s < ANSWER_S or now_s - self._since_s < MIN_GAP_S:
+            self.ignored += bool(self._waiting)
+            self._waiting = self._waiting or steps
+            return 0
+        return self._send(steps, now_s)
+
+    def _send(self, steps: int, now_s: float) -> int:
+        self._in_flight, self._answered_ns, self._since_s, self._waiting = True, None, now_s, 0
+        return steps
+
+    def answered(self, *, ok: bool, at_ns: int) -> None:
+        """The daemon took the move, or refused it."""
+        self._answered_ns = at_ns
+        if not ok:
+            self._in_flight, self._waiting = False, 0
+
+    def heard(self, *, moving: bool, said_ns: int, now_s: float) -> int:
+        """A status came; returns the microsteps of the move that waited, if it may go now."""
+        if self._in_flight and self._answered_ns is not None and said_ns >= self._answered_ns and not moving:
+            self._in_flight = False
+        if self._in_flight or not self._waiting or now_s - self._since_s < MIN_GAP_S:
+            return 0
+        return self._send(self._waiting, now_s)
+
+    def forget(self) -> None:
+        """STOP: what waits is not done."""
+        self._waiting = 0
+
+    def hold(self, now_s: float) -> bool:
+        """A fresh press of a held key; True if the lease shall be renewed now."""
+        if now_s - self._held_s < HOLD_EVERY_S:
+            return False
+        self._held_s = now_s
+        return True
+
+
+def next_size(size: int, direction: int) -> int:
+    """The next larger (1) or smaller (-1) fine step."""
+    index = min(range(len(STEP_SIZES)), key=lambda at: abs(STEP_SIZES[at] - size))
+    return STEP_SIZES[max(0, min(len(STEP_SIZES) - 1, index + direction))]
