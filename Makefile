@@ -2,6 +2,7 @@
 VENV := .venv
 PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
+KERNELS := $(VENV)/.compiled
 TEST_STAMP := $(VENV)/.installed-test
 APT := chromium fonts-dejavu-core systemd tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
 ifneq ($(shell id -u),0)
@@ -10,7 +11,7 @@ endif
 
 .PHONY: demo test lint install install-test system-packages bench faults soak clean
 
-demo: $(STAMP)
+demo: $(KERNELS)
 	@$(VENV)/bin/sweepscope demo
 
 install: $(STAMP)
@@ -28,6 +29,12 @@ $(TEST_STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
 	@touch $@ $(STAMP)
 
+# the fold and its estimates are compiled once; whoever starts first afterwards need not wait
+$(KERNELS): $(STAMP) $(wildcard process/*.py process/estimates/*.py)
+	@echo "compiling the fold, once: about a minute"
+	@$(PY) -m process.warmup
+	@touch $@
+
 # what the tests need beside Python: a browser, a terminal multiplexer, the AVR compiler and its emulator
 system-packages:
 	@missing=""; for p in $(APT); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
@@ -43,7 +50,7 @@ lint: $(TEST_STAMP)
 	$(VENV)/bin/lint-imports
 
 # two at a time: most system tests wait for processes and deadlines; a file's tests stay together and in order
-test: system-packages $(TEST_STAMP) lint
+test: system-packages $(TEST_STAMP) lint $(KERNELS)
 	$(PY) -m pytest -n 2 --dist loadfile
 
 bench: $(STAMP)

@@ -77,3 +77,7 @@ def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generi
     shape = (SIZE_PX, SIZE_PX) if channels == 1 else (SIZE_PX, SIZE_PX, channels)
     level = dtype((20 * frame_index) << (bit_depth - 8))
     return np.frombuffer(np.full(shape, level, dtype).tobytes(), dtype).reshape(shape)
+
+
+if __name__ == "__main__":
+    warm_up()

@@ -21,8 +21,8 @@ from tui.up import SERVICES, read_url, say, signals_set
 if TYPE_CHECKING:
     from tui.app import ConsoleApp
 
-READY_S = 90.0
-"""Longest wait for the services; the first start on a machine compiles the fold."""
+READY_S = 240.0
+"""Longest wait for the services; the first start on a machine compiles the fold, and it may be a slow one."""
 HOMING_S = 60.0
 RESULTS_S = 120.0
 """Longest wait for maps and cloud after the sweep's end."""
