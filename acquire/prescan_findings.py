@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .exposure_search import SATURATED, TARGET
+from .exposure_search import TARGET
 
 FEW: Final = 0.002
 """Pixels of the specimen that may behave otherwise, as a share: noise and glints."""
@@ -22,7 +22,8 @@ WARN_SHARE: Final = 0.005
 RISEN: Final = 0.1
 DONE: Final = 0.9
 """Shares of a pixel's range at which the light begins to arrive, and has arrived."""
-SATURATED_PIXELS: Final = 0.001
+CLIPPED: Final = 0.998
+"""From here on the percentile itself is cut off and says nothing of how bright it would be."""
 _GUESS: Final = 0.5
 """What is saturated could be anything: its exposure is halved, and a warning says so."""
 
@@ -94,7 +95,7 @@ def propose_exposure(looks: Looks, exposure_ms: float, black: float, bounds_ms: 
     ``black`` is the black level as a share of full scale; the looks were taken with ``exposure_ms``.
     """
     shortest, longest = bounds_ms
-    if looks.high >= SATURATED or looks.full_scale_share >= SATURATED_PIXELS:
+    if looks.high >= CLIPPED:
         share = 100 * looks.full_scale_share
         warning = (
             f"up to {share:.1f} % of the picture is saturated at {exposure_ms:.3g} ms: "
