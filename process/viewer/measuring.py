@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import Any
 
@@ -18,6 +18,7 @@ from viser import uplot
 
 from .cloud import Cloud
 from .picking import Distance, Picked, Profile, Ray, measurements_csv, pick, profile, quality_words
+from .tiles import Tile
 from .widgets import write
 
 MARK_RGB = (255, 92, 168)
@@ -68,7 +69,7 @@ class Measuring:
             self._server.scene.on_click()(clicked)
         else:
             self._server.scene.remove_click_callback("all")
-            self._put(self._forget_first)
+        self._put(self._forget_first)
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
         camera = event.client.camera
@@ -98,14 +99,14 @@ class Measuring:
 
     # ---- in the main loop ----
 
-    def turn(self, eye_mm: NDArray[np.float64] | None) -> None:
-        """Answer clicks; ``eye_mm`` is where the rig's camera is, None if that is not known."""
+    def turn(self, tiles: Mapping[int, Tile], eye_mm: NDArray[np.float64] | None) -> None:
+        """Answer clicks on ``tiles``; ``eye_mm`` is where the rig's camera is, None if that is not known."""
         while not self._jobs.empty():
             self._jobs.get_nowait()()
         while not self._rays.empty():
             ray, client = self._rays.get_nowait()
             least_mm = self._cloud.size_mm(self._cloud.fine) / 2
-            found = pick(self._cloud.tiles.values(), ray, least_mm, eye_mm, self._cloud.look.box)
+            found = pick(tiles.values(), ray, least_mm, eye_mm, self._cloud.look.box)
             if found is None:
                 client.add_notification("No data here", "Click on a point of the cloud.", auto_close_seconds=3)
             else:
@@ -131,10 +132,9 @@ class Measuring:
         self._show_profile()
 
     def _forget_first(self) -> None:
-        if self._first is not None:
-            self._first = None
-            self._say_list()
-            self._draw()
+        self._first = None
+        self._say_list()
+        self._draw()
 
     def _delete(self) -> None:
         self._distances.pop(str(self._which.value), None)
@@ -164,7 +164,10 @@ class Measuring:
         last = self._distances.get(str(self._which.value))
         parts = [_point_html(picked) if picked is not None else "", _distance_html(last) if last is not None else ""]
         parts.append(f"<table>{''.join(rows)}</table>" if rows else "")
-        hint = "Click the second point." if self._first is not None else "± is the noise of the two points alone."
+        if rows:
+            parts.append('<div class="sw-beat">± is the noise of the two points alone.</div>')
+        hint = "Click the second point." if self._first is not None else "Click the first point."
+        hint = hint if self._on.value else "Switch on “Pick points”, then click two points of the cloud."
         write(self._text, content=f'<div class="sw">{"".join(parts)}<div class="sw-beat">{escape(hint)}</div></div>')
 
     def _draw(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from html import escape
 from pathlib import Path
@@ -52,6 +52,8 @@ class ScansPanel:
         self._list_ns = 0
         self._followed = ""
         self._snapshot = Snapshot()
+        self._finished_path = ""
+        self._finished: dict[int, Tile] = {}
         self.opened: Opened | None = None
         """The older scan that is shown; None: the rig's."""
         gui = server.gui
@@ -140,6 +142,8 @@ class ScansPanel:
         if watched and now_ns - self._list_ns >= LIST_NS:
             self._list_ns = now_ns
             self._submit(self._look)
+        if watched:
+            self._look_up_finished()
         status = snapshot.status
         if status is not None and status.scan_uid != self._followed and status.outcome == Outcome.RUNNING:
             self._followed = status.scan_uid
@@ -223,6 +227,35 @@ class ScansPanel:
         if "digest" in report:
             facts.append(("Digest", str(report["digest"])[:16]))
         return facts
+
+    @property
+    def pickable(self) -> Mapping[int, Tile]:
+        """The shown points; those of a finished scan come from its file, which knows their quality."""
+        if self.opened is None and self._finished and self._is_finished():
+            return self._finished
+        return self._delivery.cloud.tiles
+
+    def _is_finished(self) -> bool:
+        end = self._snapshot.end
+        return end is not None and bool(end.cloud_path) and end.cloud_path == self._finished_path
+
+    def _look_up_finished(self) -> None:
+        """Once a scan's cloud is on disk, read it for what the live points do not carry."""
+        end = self._snapshot.end
+        if end is None or not end.cloud_path or end.cloud_path == self._finished_path:
+            return
+        self._finished_path, self._finished = end.cloud_path, {}
+        folder = Path(end.cloud_path).parent
+        self._submit(self._read_finished, end.cloud_path, Entry(folder, folder.name, "", None))
+
+    def _read_finished(self, path: str, entry: Entry) -> None:
+        with contextlib.suppress(SweepscopeError):  # then the live points will do
+            tiles = open_scan(entry).tiles
+            self._put(lambda: self._keep_finished(path, tiles))
+
+    def _keep_finished(self, path: str, tiles: dict[int, Tile]) -> None:
+        if path == self._finished_path:
+            self._finished = tiles
 
     def _hand_over(self, client: viser.ClientHandle, name: str, content: bytes) -> None:
         self._delivery.post(client.client_id, name, content)

@@ -146,7 +146,7 @@ class Viewer:
             self._scene.look(self._view.look, now_ns)
         if self._measuring is not None and self._scans is not None:
             self._measuring.forget(self._scans.title)
-            self._measuring.turn(self._scene.eye_mm)
+            self._measuring.turn(self._scans.pickable, self._scene.eye_mm)
         self._scene.delivery.turn(now_ns)
         opened = self._scans.opened if self._scans is not None else None
         picture = self._scene.picture

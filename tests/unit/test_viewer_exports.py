@@ -2,6 +2,7 @@ import io
 import json
 import re
 import shutil
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,9 +13,10 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.messages import ResultEnd
 from process.viewer.cloud import Cloud
 from process.viewer.exports import View, page_html, ply_bytes
-from process.viewer.feed import TileNews
+from process.viewer.feed import Snapshot, TileNews
 from process.viewer.figure import figure_png
 from process.viewer.library import list_scans, open_scan
 from process.viewer.look import Look
@@ -135,6 +137,21 @@ def test_going_back_to_the_rigs_own_scan_shows_what_came_meanwhile(data_dir: Pat
     panel.close()
 
 
+def test_the_points_of_a_finished_scan_are_picked_from_its_file_which_knows_their_quality(data_dir: Path) -> None:
+    entry = list_scans(data_dir)[0]
+    panel = _panel(data_dir)
+    path = str(entry.folder / "cloud.ply")
+    end = ResultEnd(version=1, outcome="complete", folded_through=9, points=1728, cloud_path=path)
+    deadline = time.monotonic() + 20
+    while panel.pickable is not panel._finished or not panel._finished:
+        assert time.monotonic() < deadline
+        panel.turn(Snapshot(end=end), 0, watched=True)
+    assert all(tile.quality is not None for tile in panel.pickable.values())
+    panel.turn(Snapshot(), 0, watched=True)
+    assert panel.pickable == {}
+    panel.close()
+
+
 def _panel(data_dir: Path) -> Any:
     from process.viewer.scans_panel import ScansPanel
 
@@ -161,4 +178,5 @@ def _panel(data_dir: Path) -> Any:
         add_button=widget,
         add_folder=lambda *_: Folder(),
     )
-    return ScansPanel(SimpleNamespace(gui=gui), data_dir, SimpleNamespace(), lambda: None)
+    delivery = SimpleNamespace(cloud=SimpleNamespace(tiles={}))
+    return ScansPanel(SimpleNamespace(gui=gui), data_dir, delivery, lambda: None)
