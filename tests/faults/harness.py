@@ -30,13 +30,15 @@ from acquire.contract.outcome import frame_crc32, scan_digest
 from acquire.contract.scan_reader import ScanReader
 from acquire.simulation import Renderer, build_scene
 from tests.system.appliance import SMALL, Appliance
-from tui.client import RigClient
+from tui.client import RigClient, somebody_listens
 
 ROOT = Path(__file__).parents[2]
 STEPS = 12
 COUNT = 1578 // STEPS + 1
 FRAME_BYTES = 128 * 96 * 3
 UM_PER_MICROSTEP = 3.175
+START_S = 90.0
+"""Longest wait for services to start on a machine that does other things as well."""
 PACED = {"SIMULATION__TIME_SCALE": 0.1, "SWEEP__MAX_RATE_HZ": 15.0}
 """150 frames per second: a sweep of a second, so that a fault finds it running."""
 
@@ -65,7 +67,7 @@ class Rig(Appliance):
     def __init__(self, run_dir: Path, data_dir: Path, seed: int, at: float, sabotage: str = "") -> None:
         super().__init__(run_dir, data_dir, **PACED)
         self.random, self.at, self.sabotage, self.seed = random.Random(seed), at, sabotage, seed
-        self.deadline_s = 15.0 if sabotage else 60.0
+        self.deadline_s = 20.0 if sabotage else 60.0
         self.seen: dict[str, Seen] = {}
         self.light: dict[int, dict[str, float]] = {}
         """What the lamp did to a frame, where a row changes the light."""
@@ -103,9 +105,20 @@ class Rig(Appliance):
 
         return super().until_status(client, noted, what)
 
+    def client(self) -> RigClient:
+        """As the base; a service that only takes its time to start has not noticed anything."""
+        self.until(lambda: somebody_listens(self.run_dir), "the daemon binds", START_S)
+        return RigClient(self.run_dir, timeout_s=30.0)
+
+    def ready(self, client: RigClient) -> None:
+        """Wait until a sweep can begin."""
+        patience_s, self.deadline_s = self.deadline_s, max(self.deadline_s, START_S)
+        self.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        self.deadline_s = patience_s
+
     def begin(self, client: RigClient, **args: Any) -> dict[str, Any]:
         """Start a sweep as soon as a writer is there."""
-        self.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        self.ready(client)
         return self.scan(client, **args)
 
     def moment(self, client: RigClient) -> Status:
