@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -17,16 +16,11 @@ import tomli_w
 
 from acquire.contract.config import load_config
 from acquire.contract.errors import SweepscopeError
-from acquire.contract.places import SYSTEM_RUN, service_run_dir
-from acquire.contract.states import State
-from tui.client import RigClient
 from tui.installing.machine import InstallError, point, put, run, systemctl, systemd_runs
-from tui.installing.places import SERVICES, TARGET, Places
+from tui.installing.places import TARGET, Places
+from tui.installing.running import refuse_during_a_sweep, restart
 from tui.installing.units import unit_text
 
-ASK_S = 3.0
-START_S = 200.0
-"""The new services have so long to be ready: the first start compiles kernels."""
 OWNER = "sweepscope"
 
 
@@ -195,10 +189,9 @@ class Installer:
         """Put everything back; each step is tried even if the one before failed."""
         switched = self._in_place() == self.release.resolve()
         steps: list[Callable[[], None]] = []
+        if switched and self.wishes.start:
+            steps.append(lambda: self._ask_systemd("stop", TARGET, "sweepscope-*.service"))
         if switched:
-            gone = [path.name for path, text in self._replaced.items() if text is None and path.suffix == ".service"]
-            if gone:
-                steps.append(lambda: self._ask_systemd("stop", *gone))
             steps.append(lambda: self._point_back(before))
         # first: it gives room back where the disk is full
         steps.append(lambda: shutil.rmtree(self.release, ignore_errors=True))
@@ -235,58 +228,6 @@ def _restore(path: Path, text: str | None) -> None:
         path.unlink(missing_ok=True)
     else:
         put(path, text)
-
-
-def refuse_during_a_sweep(places: Places) -> None:
-    """Changing the program restarts the daemon, and that ends a sweep.
-
-    Raises:
-        InstallError: one is running.
-    """
-    try:
-        run_dir = SYSTEM_RUN if not places.user else service_run_dir()
-        with RigClient(run_dir, timeout_s=ASK_S) as client:
-            now = client.status()
-    except SweepscopeError:
-        return  # nothing runs that could be disturbed
-    if now.state in (State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING):
-        raise InstallError(
-            f"a sweep is running ({now.committed} of {now.expected} frames): wait for its end, or 'sweepscope stop'"
-        )
-
-
-def restart(*, user: bool) -> None:
-    """Stop everything, start it, and wait until it is ready; a service that keeps failing is noticed at once.
-
-    Raises:
-        InstallError: one of them is not ready in time; it is named.
-    """
-    systemctl("stop", TARGET, "sweepscope-*.service", user=user)
-    systemctl("reset-failed", "sweepscope-*.service", user=user)  # restarts are counted from here
-    systemctl("start", "--no-block", TARGET, user=user)
-    wait_until_ready(user=user)
-
-
-def wait_until_ready(*, user: bool, deadline_s: float = START_S) -> None:
-    """Wait for the four services.
-
-    Raises:
-        InstallError: one of them is not ready by then; it is named.
-    """
-    units = [f"sweepscope-{service}.service" for service in SERVICES]
-    end_s = time.monotonic() + deadline_s
-    while True:
-        said = systemctl("show", "--property=ActiveState,NRestarts", "--value", *units, user=user).split()
-        states, restarts = said[0::2], said[1::2]
-        if not all(count.isdigit() for count in restarts):
-            states, restarts = restarts, states
-        if all(state == "active" for state in states):
-            return
-        lost = [unit for unit, count in zip(units, restarts, strict=False) if count.isdigit() and int(count) >= 3]
-        if lost or time.monotonic() > end_s:
-            stuck = lost or [u for u, state in zip(units, states, strict=False) if state != "active"]
-            raise InstallError(f"{', '.join(stuck)} does not get ready: see 'journalctl -u {stuck[0]}'")
-        time.sleep(0.2)
 
 
 def base_python(*, user: bool) -> str:

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from acquire.contract.config import load_config
 from acquire.contract.errors import ConfigError
-from tui.installing.install import OWNER, refuse_during_a_sweep
+from tui.installing.install import OWNER
 from tui.installing.machine import InstallError, run, systemctl, systemd_runs
 from tui.installing.places import TARGET, Places
+from tui.installing.running import refuse_during_a_sweep
 
 
 def uninstall_steps(places: Places, say: Callable[[str], None]) -> list[tuple[str, Callable[[], None]]]:
