@@ -43,5 +43,5 @@ def parse_address(text: str) -> Address:
     """
     found = _FORM.match(text)
     if found is None or not 1 <= int(found["port"]) <= 65_536 - len(OFFERED):
-        raise ConfigError(f"{text!r} is no address of a rig: write tcp://HOST:PORT, as 'sweepscope gateway' says it")
+        raise ConfigError(f"{text!r} is no address of a rig: write tcp://HOST:PORT, with the rig's network.port")
     return Address(found["host"].strip("[]"), int(found["port"]))

@@ -141,6 +141,8 @@ def test_the_commands_make_show_and_never_tell_the_secret(at_home: Path, capsys:
 def test_a_rig_far_away_needs_a_key_of_ones_own(at_home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["status", "--connect", "tcp://127.0.0.1:9", "--server-key", KEY]) == 1
     assert "keys make" in capsys.readouterr().err
+    assert run(["status", "--connect", "tcp://127.0.0.1:9"]) == 1
+    assert "--server-key" in capsys.readouterr().err
 
 
 def test_a_gateway_without_an_address_says_what_to_set(at_home: Path, capsys: pytest.CaptureFixture[str]) -> None:

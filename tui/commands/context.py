@@ -74,11 +74,14 @@ class Session:
         if not self.far.address:
             yield None
             return
+        from acquire.contract.errors import ConfigError
         from acquire.remote.addresses import parse_address
         from acquire.remote.keys import OWN_KEY_NAME, check_public, load_pair, own_folder
         from acquire.remote.tunnel import Tunnel
 
         address = parse_address(self.far.address)
+        if not self.far.server_key:
+            raise ConfigError("--connect needs --server-key: 'sweepscope keys list' at the rig shows it")
         pair = load_pair(self.far.key or own_folder() / OWN_KEY_NAME, "your key", "'sweepscope keys make' makes it")
         with Tunnel(address, check_public(self.far.server_key), pair) as tunnel:
             tunnel.wait(self.config().rig.limits.command_s)

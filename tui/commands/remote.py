@@ -41,6 +41,8 @@ def make(session: Session, server: bool, force: bool) -> None:
     pair = make_pair(path, force=force)
     click.echo(f"{path} is made; its public key, for {'--server-key' if server else 'keys allow at the rig'}:")
     click.echo(pair.public)
+    if server:
+        click.echo("a gateway that runs takes it when it is restarted: sudo systemctl restart sweepscope-gateway")
 
 
 @keys.command("list")
