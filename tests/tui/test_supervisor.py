@@ -140,3 +140,10 @@ def test_a_child_follows_its_killed_supervisor(tmp_path):
     finally:
         if psutil.pid_exists(pid):
             os.kill(pid, signal.SIGKILL)
+
+
+def test_a_gateway_is_started_only_where_the_rig_is_offered_to_other_machines():
+    from tui.up import service_specs
+
+    assert "gateway" not in [spec.name for spec in service_specs(None)]
+    assert [spec.name for spec in service_specs(None, offered=True)][-1] == "gateway"
