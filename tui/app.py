@@ -6,9 +6,9 @@ import asyncio
 import signal
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from textual import events
 from textual.app import App
@@ -16,10 +16,8 @@ from textual.binding import Binding
 from textual.dom import DOMNode
 from textual.message import Message
 
-from acquire.contract.messages import Status
-from acquire.contract.states import Outcome, State
-from tui.draft import Draft
 from tui.driver import ConsoleDriver, Meter
+from tui.keynames import key_name
 from tui.logbook import LogBook, local_time
 from tui.messages import (
     CommandAnswered,
@@ -33,13 +31,16 @@ from tui.messages import (
     ResultsOnDisk,
     StatusArrived,
 )
+from tui.narration import Narrator
+from tui.options import ConsoleOptions, Link, LinkMaker, OnAnswer
 from tui.screens import SCREENS
 from tui.screens.actions import ActionList
 from tui.screens.base import RigScreenBase, action_name
 from tui.screens.dialogs import ConfirmQuit, Dialog
+from tui.stopping import StopWatch
 from tui.themes import THEMES
 from tui.view import RigView
-from tui.words import MOVING_STATES, is_running, newest_fault, outcome_line, position_words, state_words
+from tui.words import is_running, newest_fault
 
 STOP_KEY = "space"
 LOOK_S = 0.5
@@ -47,48 +48,6 @@ RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last word."""
 HARMLESS = frozenset({"stop", "status", "estimate", "acknowledge"})
 """Commands that a read-only console may send: none of them moves anything (STOP is everybody's)."""
-
-
-class Link(Protocol):
-    """What the console needs of its connection."""
-
-    def start(self) -> None:
-        """Begin to listen."""
-
-    def close(self) -> None:
-        """End."""
-
-    def send(self, name: str, /, **args: Any) -> str:
-        """Send a command without waiting; returns its request id."""
-
-    def want_pictures(self, wanted: bool) -> None:
-        """Listen to camera pictures, or no longer."""
-
-
-LinkMaker = Callable[[Callable[[Message], Any]], Link]
-"""Makes a connection that posts to the given function."""
-OnAnswer = Callable[[CommandAnswered], None]
-
-
-@dataclass(frozen=True)
-class ConsoleOptions:
-    """How this console was started."""
-
-    ascii_only: bool = False
-    read_only: bool = False
-    """Look, but have no action that moves or changes the rig; STOP stays."""
-    owns_rig: bool = False
-    """The services end with this program, so leaving during a sweep is asked about."""
-    me: str = ""
-    """This console's name on the rig: ``anna on pts/3``."""
-    screen: str = "scan"
-    """The screen that is shown first."""
-    draft: Draft = field(default_factory=Draft)
-    """What the next scan starts from."""
-    keymap: Mapping[str, str] = field(default_factory=dict)
-    theme: str = "sweepscope-dark"
-    picture: str = "half"
-    """``half``, ``mono`` or ``off``."""
 
 
 class ConsoleApp(App[None]):
@@ -131,13 +90,9 @@ class ConsoleApp(App[None]):
         self._on_started = on_started
         self._screens: dict[str, RigScreenBase] = {}
         self._answers: dict[str, OnAnswer] = {}
-        self._stop_answered_ns: int | None = None
-        self._stops_sent_early = 0
-        """STOPs that were sent and not yet announced."""
-        self._stops_to_swallow = 0
-        """Keys that are still on their way and whose STOP was sent and announced already."""
+        self._stop = StopWatch()
+        self._narrator = Narrator()
         self._unshown = False
-        self._faults_said: set[tuple[str, int]] = set()
         for theme in THEMES:
             self.register_theme(theme)
         self.theme = options.theme
@@ -147,6 +102,8 @@ class ConsoleApp(App[None]):
 
     def on_mount(self) -> None:
         """Show the screen, then listen."""
+        if not isinstance(self._driver, ConsoleDriver):
+            self.meter.governor.deaf = True  # nobody there to answer
         self.action_go(self.options.screen)
         for number in (signal.SIGTERM, signal.SIGHUP):
             self._leave_on(number)
@@ -164,14 +121,16 @@ class ConsoleApp(App[None]):
 
     def _look(self) -> None:
         """Show what had to wait for the terminal, and what the terminal's link carries."""
+        if self.meter.wants_bare():
+            self.ask_terminal(picture=False)
         words = self.meter.words() if self.meter.governor.answers or self.meter.governor.deaf else ""
         if self._unshown or words != self.view.link_words:
             self.refresh_view(link_words=words)
 
-    def ask_terminal(self) -> None:
+    def ask_terminal(self, *, picture: bool = True) -> None:
         """Let the terminal say when it has taken everything so far."""
         if isinstance(self._driver, ConsoleDriver):
-            self._driver.ask()
+            self._driver.ask(picture=picture)
 
     def on_unmount(self) -> None:
         """End the input thread."""
@@ -211,9 +170,12 @@ class ConsoleApp(App[None]):
         """The newest state."""
         before = self.view.status
         self.view = replace(self.view, status=message.status)
-        self._say_changes(before, message.status)
-        self._judge_stop(message.status)
-        self.refresh_view()
+        for text, level in self._narrator.said(before, message.status):
+            self.say(text, level)
+        stopped = self._stop.judge(message.status)
+        if stopped:
+            self.say(stopped)
+        self.refresh_view(stop_words=self._stop.words)
 
     def on_progress_arrived(self, message: ProgressArrived) -> None:
         """The worker's news."""
@@ -252,18 +214,14 @@ class ConsoleApp(App[None]):
         """What became of a command."""
         on_answer = self._answers.pop(message.request_id, None)
         if message.name == "stop":
-            if self._stops_sent_early:  # the answer was quicker than the key's own way through the loop
-                self._announce_stop()
-            self._stop_answered_ns = message.at_mono_ns
+            self._stop.answered(ok=message.ok, at_mono_ns=message.at_mono_ns)
         if on_answer is not None:
             on_answer(message)
         elif not message.ok:
-            if message.name == "stop":
-                self.view = replace(self.view, stop_words="STOP NOT CONFIRMED")
             self.say(f"{message.name}: {message.detail}", "error")
         elif message.name != "stop":
             self.say(f"{message.name}: {message.detail or 'done'}")
-        self.refresh_view()
+        self.refresh_view(stop_words=self._stop.words)
 
     def on_page_known(self, message: PageKnown) -> None:
         """The address of the page."""
@@ -272,32 +230,6 @@ class ConsoleApp(App[None]):
     def on_note(self, message: Note) -> None:
         """A line from elsewhere in this process."""
         self.say(message.text, message.level)
-
-    def _say_changes(self, before: Status | None, now: Status) -> None:
-        if before is None or (before.state, before.hold_reason) != (now.state, now.hold_reason):
-            self.say(state_words(now))
-        if before is not None and before.control != now.control:
-            self.say(f"{now.control} holds control now" if now.control else "nobody holds control now")
-        if now.message and (before is None or before.message != now.message) and not _said_otherwise(now):
-            self.say(now.message)
-        for fault in now.faults:
-            if (fault.code, fault.at_mono_ns) not in self._faults_said:
-                self._faults_said.add((fault.code, fault.at_mono_ns))
-                self.say(f"{fault.code} {fault.happened}. Safe: {fault.safe}. To do: {fault.to_do}", "error")
-        ended = now.outcome not in ("", Outcome.RUNNING) and not is_running(now)
-        if ended and before is not None and (before.outcome != now.outcome or is_running(before)):
-            self.say(outcome_line(now), "info" if now.outcome == Outcome.COMPLETE else "warning")
-
-    def _judge_stop(self, status: Status) -> None:
-        """STOP is confirmed by the rig's state alone, as it was said after the daemon had taken the command."""
-        answered_ns = self._stop_answered_ns
-        if not self.view.stop_words or answered_ns is None or status.sent_mono_ns < answered_ns:
-            return
-        if status.state == State.FINISHING:
-            self.view = replace(self.view, stop_words="STOP taken: saving what was taken")
-        elif status.state not in MOVING_STATES - {State.PREVIEW}:
-            self.view = replace(self.view, stop_words="")
-            self.say(f"stopped at {position_words(status)}")
 
     # ---- commands ----
 
@@ -350,12 +282,7 @@ class ConsoleApp(App[None]):
     def key_words(self, binding: Binding) -> str:
         """The key of a binding as people write it, the operator's own where there is one."""
         keys = self.options.keymap.get(binding.id or "", binding.key)
-        return self.get_key_display(Binding(keys.split(",")[0].strip(), "", ""))
-
-    def get_key_display(self, binding: Binding) -> str:
-        """Short names of keys in ASCII."""
-        key = _KEY_NAMES.get(binding.key)
-        return key if key is not None else binding.key.replace("ctrl+", "^")
+        return key_name(keys.split(",")[0].strip())
 
     # ---- keys ----
 
@@ -371,27 +298,15 @@ class ConsoleApp(App[None]):
 
     def stop_early(self) -> None:
         """Send STOP from the thread that reads the keys, even while nothing can be painted; the key itself follows."""
-        self._stops_sent_early += 1
+        self._stop.sent_early()
         self._link.send("stop")
 
     def action_stop(self) -> None:
         """End all motion."""
-        if self._stops_to_swallow:
-            self._stops_to_swallow -= 1
-            return
-        if not self._stops_sent_early:
-            self._stops_sent_early += 1
+        if self._stop.pressed():
             self._link.send("stop")
-        self._announce_stop()
-        self._stops_to_swallow -= 1
-
-    def _announce_stop(self) -> None:
-        self._stops_sent_early -= 1
-        self._stops_to_swallow += 1
-        self._stop_answered_ns = None
-        self.view = replace(self.view, stop_words="STOP sent")
         self.say("STOP sent; waiting for the rig's own word", "warning")
-        self.refresh_view()
+        self.refresh_view(stop_words=self._stop.words)
 
     def action_go(self, name: str) -> None:
         """Switch to a screen."""
@@ -462,38 +377,6 @@ class ConsoleApp(App[None]):
                 self.push_screen(ConfirmQuit(), lambda leave: self.exit() if leave else None)
             return
         self.exit()
-
-
-_KEY_NAMES = {
-    "question_mark": "?",
-    "colon": ":",
-    "comma": ",",
-    "full_stop": ".",
-    "less_than_sign": "<",
-    "greater_than_sign": ">",
-    "left_square_bracket": "[",
-    "right_square_bracket": "]",
-    "plus": "+",
-    "minus": "-",
-    "slash": "/",
-    "escape": "Esc",
-    "enter": "Enter",
-    "tab": "Tab",
-    "left": "Left",
-    "right": "Right",
-    "up": "Up",
-    "down": "Down",
-    "delete": "Del",
-    "pageup": "PgUp",
-    "pagedown": "PgDn",
-}
-
-
-def _said_otherwise(status: Status) -> bool:
-    """True if the message only repeats a fault or the outcome, which get lines of their own."""
-    outcome = outcome_line(status)
-    codes = tuple(f"{fault.code} " for fault in status.faults)
-    return status.message.startswith(codes) or bool(outcome and status.message.startswith(outcome))
 
 
 def run_console(

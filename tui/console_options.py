@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from textual.binding import Binding
 
 from acquire.contract.config import LoadedConfig
-from tui.app import ConsoleApp, ConsoleOptions
+from tui.app import ConsoleApp
 from tui.draft import Draft
 from tui.keymap import keymap_path, load_keymap
+from tui.options import ConsoleOptions
 from tui.screens import SCREENS
 from tui.who import my_name, user_name
 
@@ -21,6 +22,8 @@ def options_for(
     ascii_only: bool = False,
     read_only: bool = False,
     owns_rig: bool = False,
+    picture: str = "half",
+    theme: str = "sweepscope-dark",
     environ: Mapping[str, str] = os.environ,
 ) -> ConsoleOptions:
     """Raises ConfigError where the operator's keys cannot be used."""
@@ -32,6 +35,8 @@ def options_for(
         me=my_name(),
         draft=Draft.of_config(config.rig, operator=user_name()),
         keymap=keymap,
+        picture=picture,
+        theme=theme,
     )
 
 

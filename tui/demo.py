@@ -15,7 +15,7 @@ from tui.client import ProgressFeed, RigClient, somebody_listens
 from tui.demo_report import Verdict, is_final, read_report
 from tui.demo_rig import DemoOptions, DemoRig
 from tui.follow import Narrator, follow_scan
-from tui.terminal import is_terminal
+from tui.terminal import choose_colours, is_terminal, picture_mode
 from tui.up import SERVICES, read_url, say, signals_set
 
 if TYPE_CHECKING:
@@ -153,6 +153,7 @@ def _show(verdict: Verdict, url: str) -> None:
 
 
 def _run_on_terminal(options: DemoOptions) -> int:
+    picture = picture_mode(choose_colours("auto"), ascii_only=False)
     from tui.app import run_console  # noqa: PLC0415 - without a terminal Textual is never loaded
     from tui.console_options import options_for  # noqa: PLC0415
     from tui.messages import Note  # noqa: PLC0415
@@ -170,7 +171,7 @@ def _run_on_terminal(options: DemoOptions) -> int:
         thread.start()
 
     with DemoRig(options, _to_log) as rig:
-        console = options_for(rig.config, owns_rig=True)
+        console = options_for(rig.config, owns_rig=True, picture=picture)
         status = run_console(console, run_dir=rig.run_dir, on_started=begin)
         say("ending daemon, writer, worker and viewer")
         if thread is not None:

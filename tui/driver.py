@@ -71,11 +71,17 @@ class Meter:
         with self._lock:
             return self.governor.may_send(time.monotonic(), self.backlog_bytes)
 
-    def asked(self) -> None:
-        """The question behind a picture was handed over."""
+    def wants_bare(self) -> bool:
+        """True if the terminal should be asked now, with no picture before the question."""
+        with self._lock:
+            return not self.backlog_bytes and self.governor.wants_bare(time.monotonic())
+
+    def asked(self, *, picture: bool) -> None:
+        """A question was handed over, behind a picture or by itself."""
         with self._lock:
             self.answered_event.clear()
-            self.governor.asked(time.monotonic(), self.handed_bytes - self._asked_at_bytes)
+            nbytes = self.handed_bytes - self._asked_at_bytes if picture else 0
+            self.governor.asked(time.monotonic(), nbytes, picture=picture)
             self._asked_at_bytes = self.handed_bytes
 
     def answered(self) -> None:
@@ -133,9 +139,9 @@ class ConsoleDriver(LinuxDriver):
         self._meter.handed(len(data.encode()))
         super().write(data)
 
-    def ask(self) -> None:
+    def ask(self, *, picture: bool) -> None:
         """Ask the terminal to answer once it has taken everything so far."""
-        self._meter.asked()
+        self._meter.asked(picture=picture)
         if not self._meter.governor.deaf:
             self.write(ASK)
 

@@ -15,6 +15,8 @@ TOO_LONG_S = 0.15
 SHORT_S = 0.03
 CALM_PICTURES = 8
 """So many quick pictures in a row, and the next finer detail is tried."""
+BARRED_S = 20.0
+"""After a picture that was too long no finer detail is tried for so long."""
 SHARE = 0.5
 """Pictures get at most this share of the link's time."""
 STALLED_S = 1.0
@@ -22,6 +24,9 @@ STALLED_S = 1.0
 DEAF_S = 3.0
 """A terminal that has not answered its first question for so long never answers any."""
 SMOOTH = 0.3
+BARE_BYTES = 2000
+"""A question behind no more than this measures the link's own delay."""
+BARE_EVERY_S = 10.0
 
 
 @dataclass
@@ -30,18 +35,18 @@ class Governor:
 
     wanted_hz: float = 5.0
     """Pictures per second where nothing stands against it."""
-    base_s: float = field(default=float("inf"))
-    """Shortest round trip that was ever seen: the link's own delay, which no lower rate mends."""
+    base_s: float | None = None
+    """Round trip of a question behind nothing: the link's own delay, which no lower rate mends; None: not yet known."""
     rate_bytes_per_s: float | None = None
     """What the link carries; None while nothing large enough was sent."""
-    finest: int = 0
-    """Index of the finest detail that may be tried."""
     _step: int = 0
     _calm: int = 0
     _next_s: float = float("-inf")
     _asked_s: float | None = None
     _asked_bytes: int = 0
     _sent_s: list[float] = field(default_factory=list)
+    _barred_until_s: float = float("-inf")
+    _bare_s: float = float("-inf")
     deaf: bool = False
     """True if the terminal answers no questions: then only our own queue is known."""
     answers: int = 0
@@ -59,12 +64,21 @@ class Governor:
     def may_send(self, now_s: float, backlog_bytes: int) -> bool:
         """True if a picture may be painted now."""
         self._give_up(now_s)
-        return self._asked_s is None and now_s >= self._next_s and not backlog_bytes
+        known = self.base_s is not None or self.deaf
+        return known and self._asked_s is None and now_s >= self._next_s and not backlog_bytes
 
-    def asked(self, now_s: float, nbytes: int) -> None:
-        """A picture of ``nbytes`` and a question behind it were handed to the terminal."""
-        self._sent_s = [at_s for at_s in self._sent_s if now_s - at_s < 2.0] + [now_s]
-        self._next_s = now_s + 1.0 / self.wanted_hz
+    def wants_bare(self, now_s: float) -> bool:
+        """True if the terminal should be asked now, with no picture before the question."""
+        self._give_up(now_s)
+        return not self.deaf and self._asked_s is None and now_s - self._bare_s > BARE_EVERY_S
+
+    def asked(self, now_s: float, nbytes: int, *, picture: bool = True) -> None:
+        """A question was handed to the terminal, ``nbytes`` after the last one, of which most are a picture's."""
+        if picture:
+            self._sent_s = [at_s for at_s in self._sent_s if now_s - at_s < 2.0] + [now_s]
+            self._next_s = now_s + 1.0 / self.wanted_hz
+        else:
+            self._bare_s = now_s
         if not self.deaf:
             self._asked_s, self._asked_bytes = now_s, nbytes
 
@@ -74,22 +88,25 @@ class Governor:
             return
         took_s, self._asked_s = now_s - self._asked_s, None
         self.answers += 1
+        if self.base_s is None or self._asked_bytes <= BARE_BYTES:
+            self.base_s = took_s
+            return
         self.base_s = min(self.base_s, took_s)
         held_s = took_s - self.base_s
-        if held_s > SHORT_S / 2 and self._asked_bytes > 1000:
+        if held_s > SHORT_S / 2:
             rate = self._asked_bytes / held_s
             known = self.rate_bytes_per_s
             self.rate_bytes_per_s = rate if known is None else known + SMOOTH * (rate - known)
         self._next_s = max(self._next_s, now_s + held_s * (1.0 / SHARE - 1.0))
-        self._adapt(held_s)
+        self._adapt(held_s, now_s)
 
-    def _adapt(self, held_s: float) -> None:
+    def _adapt(self, held_s: float, now_s: float) -> None:
         if held_s > TOO_LONG_S:
             self._step = min(len(STEPS_DOWN) - 1, self._step + 1)
-            self._calm = 0
+            self._calm, self._barred_until_s = 0, now_s + BARRED_S
         elif held_s < SHORT_S:
             self._calm += 1
-            if self._calm >= CALM_PICTURES and self._step > self.finest:
+            if self._calm >= CALM_PICTURES and self._step and now_s > self._barred_until_s:
                 self._step, self._calm = self._step - 1, 0
         else:
             self._calm = 0

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 
 from acquire.contract.errors import SweepscopeError
 
 _MOUSE_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l"
 SSH_FRAMES_PER_S = "15"
+COLOURS = ("auto", "truecolor", "256", "16", "none")
+_TEXTUAL_COLOURS = {"truecolor": "truecolor", "256": "256", "16": "standard", "none": "standard"}
 
 
 def is_terminal() -> bool:
@@ -29,6 +31,37 @@ def require_terminal(what: str) -> None:
             f"{what} needs a terminal and {', '.join(missing)} is none: run it without pipes, "
             "or use 'sweepscope status' and 'sweepscope scan'"
         )
+
+
+def colours_of(environ: Mapping[str, str], wanted: str = "auto") -> str:
+    """How many colours to use: ``truecolor``, ``256``, ``16`` or ``none``.
+
+    Truecolor only where the terminal says so: one that does not know it shows random colours.
+    """
+    if wanted != "auto":
+        return wanted
+    if environ.get("NO_COLOR") is not None:
+        return "none"
+    if environ.get("COLORTERM", "").lower() in ("truecolor", "24bit"):
+        return "truecolor"
+    term = environ.get("TERM", "")
+    return "256" if "256" in term or term.startswith(("xterm-kitty", "tmux", "alacritty", "foot")) else "16"
+
+
+def picture_mode(colours: str, *, ascii_only: bool) -> str:
+    """How the camera picture is drawn: half blocks need grey levels, characters need nothing."""
+    return "half" if colours in ("truecolor", "256") and not ascii_only else "mono"
+
+
+def choose_colours(wanted: str, environ: MutableMapping[str, str] = os.environ) -> str:
+    """Settle the colours for this process; must be called before Textual is loaded. Returns what was settled."""
+    colours = colours_of(environ, wanted)
+    environ["TEXTUAL_COLOR_SYSTEM"] = _TEXTUAL_COLOURS[colours]
+    if colours == "none":
+        environ["NO_COLOR"] = "1"
+    if environ.get("TMUX"):
+        environ.setdefault("TEXTUAL_DISABLE_KITTY_KEY", "1")  # extended keys within tmux break ctrl+c and others
+    return colours
 
 
 def prepare_terminal(environ: Mapping[str, str] = os.environ) -> None:

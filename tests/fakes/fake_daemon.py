@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import msgspec
+import numpy as np
 import zmq
 
 from acquire.contract.errors import ProtocolError
 from acquire.contract.lanes import Sender, bind, receive
-from acquire.contract.messages import Command, Reply, ResultEnd, ResultProgress, Status
+from acquire.contract.messages import Command, Picture, Reply, ResultEnd, ResultProgress, Status
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import HoldReason, Outcome, State
 
@@ -75,6 +76,9 @@ class FakeDaemon:
         self.progress: ResultProgress | None = None
         self.commands: list[tuple[str, dict[str, Any]]] = []
         self.refuse: dict[str, str] = {}
+        self.show_pictures = False
+        """Publish a picture with every status: a bright disc that wanders over noise."""
+        self._pictures_sent = 0
         self.deaf = False
         self.silent = False
         self._frames_per_tick, self._expected = frames_per_tick, expected
@@ -88,6 +92,7 @@ class FakeDaemon:
         self._status = Sender(bind(self._context, zmq.PUB, self.run_dir, "status"))
         self._results = Sender(bind(self._context, zmq.PUB, self.run_dir, "results"))
         self._commands = Sender(bind(self._context, zmq.ROUTER, self.run_dir, "command"))
+        self._preview = Sender(bind(self._context, zmq.PUB, self.run_dir, "preview"))
         self._thread.start()
         return self
 
@@ -95,7 +100,7 @@ class FakeDaemon:
         self._ending.set()
         self._thread.join(5)
         self._context.destroy(linger=0)
-        for lane in ("status", "results", "command"):
+        for lane in ("status", "results", "command", "preview"):
             (self.run_dir / f"{lane}.sock").unlink(missing_ok=True)
 
     def show(self, **changes: Any) -> None:
@@ -124,6 +129,16 @@ class FakeDaemon:
                 self._status.send(self.status)
                 if self.progress is not None:
                     self._results.send(self.progress)
+                if self.show_pictures:
+                    self._send_picture()
+
+    def _send_picture(self) -> None:
+        self._pictures_sent += 1
+        header = Picture(
+            shape=[192, 256], source_shape=[768, 1024], position_steps=3 * self._pictures_sent, exposure_ms=30.0,
+            full_scale_share=0.02, low=9.0, high=255.0,
+        )  # fmt: skip
+        self._preview.send(header, wandering_disc(self._pictures_sent).tobytes())
 
     def _serve(self) -> None:
         try:
@@ -188,6 +203,14 @@ class FakeDaemon:
         )  # fmt: skip
         if done == status.expected:
             self._end(Outcome.COMPLETE)
+
+
+def wandering_disc(number: int) -> np.ndarray:
+    """[192, 256] uint8: noise with a bright disc whose place depends on ``number``; its middle is clipped."""
+    y, x = np.mgrid[0:192, 0:256]
+    distance = np.hypot(y - 96, x - (40 + 6 * number % 180))
+    noise = np.random.default_rng(number).normal(60, 12, (192, 256))
+    return np.clip(np.where(distance < 40, 330 - 4 * distance, noise), 0, 255).astype(np.uint8)
 
 
 def main() -> None:

@@ -63,24 +63,57 @@ def viewer(session: Session, port: int | None) -> None:
     run_viewer(session.config(), session.service_run_dir(), port=port)
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option("--ascii", "ascii_only", is_flag=True, help="Draw with plain ASCII signs only.")
 @click.option("--read-only", is_flag=True, help="Look only: no action that moves or changes the rig; STOP stays.")
 @far_options
-@click.pass_obj
-def console(session: Session, ascii_only: bool, read_only: bool) -> int:
+@click.option("--picture", type=click.Choice(["half", "mono", "off"]), help="How the camera picture is drawn.")
+@click.option(
+    "--color",
+    "colours",
+    type=click.Choice(["auto", "truecolor", "256", "16", "none"]),
+    default="auto",
+    show_default=True,
+    help="Colours to use; auto asks COLORTERM, TERM and NO_COLOR.",
+)
+@click.option("--theme", type=click.Choice(["dark", "light", "contrast"]), default="dark", show_default=True)
+@click.pass_context
+def console(
+    context: click.Context, ascii_only: bool, read_only: bool, picture: str | None, colours: str, theme: str
+) -> int:
     """Show and steer the rig in this terminal.
 
     Closing it never touches a sweep: come back at any time."""
-    from tui.terminal import require_terminal
+    if context.invoked_subcommand is not None:
+        return 0
+    from tui.terminal import choose_colours, picture_mode, require_terminal
 
     require_terminal("the console")
-    config = session.config()  # an unusable rig.toml is told before the screen is taken
+    config = context.obj.config()  # an unusable rig.toml is told before the screen is taken
+    settled = choose_colours(colours)
     from tui.app import run_console
     from tui.console_options import options_for
 
-    with session.tunnel() as far_dir:
-        return run_console(options_for(config, ascii_only=ascii_only, read_only=read_only), run_dir=far_dir)
+    options = options_for(
+        config,
+        ascii_only=ascii_only,
+        read_only=read_only,
+        picture=picture or picture_mode(settled, ascii_only=ascii_only),
+        theme=f"sweepscope-{theme}",
+    )
+    with context.obj.tunnel() as far_dir:
+        return run_console(options, run_dir=far_dir)
+
+
+@console.command()
+def doctor() -> int:
+    """Look at this terminal and its link, and say what to mend."""
+    from tui.terminal import require_terminal
+
+    require_terminal("the console's doctor")
+    from tui.console_doctor import examine
+
+    return 1 if examine(click.echo) else 0
 
 
 @click.command()
