@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -75,11 +76,13 @@ class ConsoleApp(App[None]):
         options: ConsoleOptions = ConsoleOptions(),  # noqa: B008 - frozen
         *,
         clock: Callable[[], str] = local_time,
+        now_s: Callable[[], float] = time.monotonic,
         on_started: Callable[[ConsoleApp], None] | None = None,
         driver_class: type | None = None,
     ) -> None:
         super().__init__(driver_class=driver_class)
         self.options = options
+        self.now_s = now_s
         self.read_only = options.read_only
         self.draft = options.draft
         self.logbook = LogBook(clock)
@@ -123,7 +126,7 @@ class ConsoleApp(App[None]):
         """Show what had to wait for the terminal, and what the terminal's link carries."""
         if self.meter.wants_bare():
             self.ask_terminal(picture=False)
-        words = self.meter.words() if self.meter.governor.answers or self.meter.governor.deaf else ""
+        words = self.meter.words() if self.meter.governor.answers else ""
         if self._unshown or words != self.view.link_words:
             self.refresh_view(link_words=words)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 from textual.app import ComposeResult
@@ -104,7 +103,7 @@ class ScanScreen(RigScreenBase):
         self.set_class(running, "running")
         self.set_class(not running, "resting")
         self._stage.fine_steps, self._plan.draft = self._fine_steps, self.shell.draft
-        self._progress.note(view)
+        self._progress.note(view, self.shell.now_s())
         for pane in (self._stage, self._light, self._plan, self._progress):
             pane.view = view
             pane.changed()
@@ -115,7 +114,9 @@ class ScanScreen(RigScreenBase):
 
     def _show_picture(self, view: RigView) -> None:
         meter = self.shell.meter
-        if self._picture.offer(view, meter.governor.detail, may_paint=meter.may_send_picture()):
+        if self._picture.offer(
+            view, meter.governor.detail, may_paint=meter.may_send_picture(), now_s=self.shell.now_s()
+        ):
             self.call_after_refresh(self.shell.ask_terminal)
 
     def key_of(self, action: str) -> tuple[str, bool]:
@@ -285,7 +286,7 @@ class ScanScreen(RigScreenBase):
         if move is not None and move.words:
             self.say(f"jog: {move.words}", "warning")
         if wanted:
-            self._send_jog(self._gate.press(wanted, time.monotonic()))
+            self._send_jog(self._gate.press(wanted, self.shell.now_s()))
 
     def _send_jog(self, steps: int) -> None:
         if not steps:
@@ -305,11 +306,11 @@ class ScanScreen(RigScreenBase):
         if view.stop_words:
             self._gate.forget()
         moving = status.state == State.MOVING
-        self._send_jog(self._gate.heard(moving=moving, said_ns=status.sent_mono_ns, now_s=time.monotonic()))
+        self._send_jog(self._gate.heard(moving=moving, said_ns=status.sent_mono_ns, now_s=self.shell.now_s()))
 
     def action_hold(self, direction: int) -> None:
         """Move on while the key is held: each fresh press renews the lease."""
-        if self._gate.hold(time.monotonic()):
+        if self._gate.hold(self.shell.now_s()):
             self.send("jog_hold", self._held, direction=direction, rate_steps_per_s=HOLD_RATE_STEPS_PER_S)
 
     def _held(self, answer: CommandAnswered) -> None:

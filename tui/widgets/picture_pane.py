@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Vertical
@@ -72,45 +70,45 @@ class PicturePane(Vertical):
         self._line = PictureLine(ascii_only=ascii_only)
         self._shown: PictureView | None = None
         self._came_s = 0.0
-        self._sharp_s = 0.0
+        self._sharp_s = float("-inf")
 
     def compose(self) -> ComposeResult:
         """Picture above numbers."""
         yield self.live
         yield self._line
 
-    def offer(self, view: RigView, detail: Detail, *, may_paint: bool) -> bool:
+    def offer(self, view: RigView, detail: Detail, *, may_paint: bool, now_s: float) -> bool:
         """Take the newest values; True if a new picture goes to the terminal. Without ``may_paint`` it waits."""
         picture = view.picture if view.connected else None
         fresh = picture is not None and picture is not self._shown
         if fresh and may_paint:
-            self._shown, self._came_s = picture, time.monotonic()
+            self._shown, self._came_s = picture, now_s
             self.live.show(picture, "", detail)
             self._measure(self._came_s)
         elif picture is None or self.live.mode == "off":
             self._shown = None
             self.live.show(None, self._words(view))
-        self._say(view)
+        self._say(view, now_s)
         return fresh and may_paint and self.live.mode != "off"
 
     def _measure(self, now_s: float) -> None:
         if self._shown is not None and now_s - self._sharp_s > 0.5:
             self._sharp_s, self._line.sharp = now_s, sharpness(self._shown.pixels)
 
-    def _say(self, view: RigView) -> None:
+    def _say(self, view: RigView, now_s: float) -> None:
         self._line.picture = self._shown
         self._line.cells_wide, self._line.link_words = self.live.cells_wide, view.link_words
         self._line.changed()
-        title = self._title(view)
+        title = self._title(now_s)
         if title != self.border_title:
             self.border_title = title
 
-    def _title(self, view: RigView) -> str:
+    def _title(self, now_s: float) -> str:
         if self._shown is None:
             return "picture"
         header = self._shown.header
         what = f"frame {header.frame_index}" if header.frame_index >= 0 else "preview"
-        age_s = time.monotonic() - self._came_s
+        age_s = now_s - self._came_s
         old = f"  {age_s:.0f} s old" if age_s > OLD_S else ""
         return f"{what}  {header.exposure_ms:.1f} ms{old}"
 

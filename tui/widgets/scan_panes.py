@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from rich.text import Text
 
 from acquire.contract.messages import Status
@@ -149,7 +147,7 @@ class ProgressPane(_Pane):
         self.rates = History()
         self._scan_uid = ""
 
-    def note(self, view: RigView) -> None:
+    def note(self, view: RigView, now_s: float) -> None:
         """Keep the rate for the sparkline, also while the pane is not in view."""
         status = view.status
         if status is None:
@@ -158,7 +156,7 @@ class ProgressPane(_Pane):
             self._scan_uid = status.scan_uid
             self.rates.clear()
         if view.connected and status.state in (State.SWEEPING, State.HOLDING):
-            self.rates.add(status.rate_hz, time.monotonic())
+            self.rates.add(status.rate_hz, now_s)
 
     def fill(self, text: Text, status: Status, width: int) -> None:
         """Bar, remaining time, credit, how far each process is behind, points, rate over time, outcome."""
