@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from acquire.contract.layout import CHECK_ROLES, PARTIAL_NAME, PROGRAM_NAME, FrameStatus
 from acquire.contract.messages import FrameFormat
+from acquire.contract.notes import notes_of
 from acquire.contract.outcome import frame_crc32, outcome_words, scan_digest
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.scan_reader import ScanLayout, ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 from acquire.contract.units import format_bytes
 
@@ -105,6 +107,7 @@ class ScanInfo(msgspec.Struct, frozen=True):
     axis: str
     """``position_um`` or ``frame_number``."""
     user: dict[str, Any]
+    """As people edited it afterwards, else as the scan recorded it."""
     plan: dict[str, Any]
     """Empty for imported folders."""
     has_calibration: bool
@@ -132,10 +135,11 @@ class ScanInfo(msgspec.Struct, frozen=True):
         return lines
 
 
-def verify(scan: Path) -> VerifyReport:
+def verify(scan: Path, progress: Callable[[int, int], None] = lambda _done, _total: None) -> VerifyReport:
     """Read every committed frame of SCAN and compare it with its checksum, then all counts and the digest.
 
-    A scan that is being written is judged by the frames that were committed when this began.
+    A scan that is being written is judged by the frames that were committed when this began. ``progress`` is called
+    with (frames done, frames to read).
 
     Raises:
         ScanFileError: no scan, damaged or truncated.
@@ -144,9 +148,12 @@ def verify(scan: Path) -> VerifyReport:
         status = reader.status()
         usable = np.isin(status, (FrameStatus.GOOD, FrameStatus.RETAKEN))
         crc32 = reader.field("crc32")
-        wrong = [
-            int(index) for index in np.flatnonzero(usable) if frame_crc32(reader.frame(int(index))) != crc32[index]
-        ]
+        wrong = []
+        indices = np.flatnonzero(usable).tolist()
+        for done, index in enumerate(indices, 1):
+            if frame_crc32(reader.frame(index)) != crc32[index]:
+                wrong.append(index)
+            progress(done, len(indices))
         sealed = _is_sealed(reader)
         report = VerifyReport(
             path=str(reader.layout.path),
@@ -205,13 +212,20 @@ def info(scan: Path) -> ScanInfo:
             reason=str(reader.scalar("reason")),
             sealed=_is_sealed(reader),
             axis=layout.axis,
-            user=layout.user,
+            user=_user(layout),
             plan={} if layout.plan is None else msgspec.to_builtins(layout.plan),
             has_calibration=bool(layout.verbatim["calibration"].strip()),
             checks=[role for role in CHECK_ROLES if reader.check_frame(role) is not None],
             size_bytes=layout.path.stat().st_size,
             measured=reader.measured,
         )
+
+
+def _user(layout: ScanLayout) -> dict[str, Any]:
+    edited = notes_of(layout.path.parent, layout.user)
+    if not edited.edited_utc:
+        return layout.user
+    return {**layout.user, **msgspec.to_builtins(edited)}
 
 
 def in_words(ranges: Ranges) -> str:

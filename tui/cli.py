@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import appliance, calibrate, devices, files, remote, rig, services, stage, tools
+from tui.commands import appliance, calibrate, devices, files, remote, rig, scans, services, stage, tools
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -33,6 +33,7 @@ for _command in (
     *rig.COMMANDS,
     *devices.COMMANDS,
     *files.COMMANDS,
+    *scans.COMMANDS,
     *calibrate.COMMANDS,
     *stage.COMMANDS,
     *tools.COMMANDS,

@@ -7,6 +7,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -103,6 +104,27 @@ class Session:
 def json_option(function: F) -> F:
     """Add ``--json`` to a command."""
     return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(function)
+
+
+def progress_option(function: F) -> F:
+    """Add ``--progress`` to a command that takes long."""
+    return click.option("--progress", "with_progress", is_flag=True, help="Say on stderr how far it is, as JSON.")(
+        function
+    )
+
+
+def progress_printer(with_progress: bool, *, every_s: float = 0.2) -> Callable[[int, int], None]:
+    """Called with (done, total); prints one JSON object on a line of stderr now and then, or nothing."""
+    said_s = float("-inf")
+
+    def say(done: int, total: int) -> None:
+        nonlocal said_s
+        now_s = time.monotonic()
+        if with_progress and (now_s - said_s >= every_s or done >= total):
+            said_s = now_s
+            click.echo(json.dumps({"done": done, "total": total}), err=True)
+
+    return say
 
 
 def print_json(value: Any) -> None:

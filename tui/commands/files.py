@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.context import Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
     from process.reconstruct import Summary
@@ -42,15 +42,17 @@ def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
 @click.option("--method", type=click.Choice(["linear", "probit", "fit", "auto"]), help="Crossing estimate [auto].")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for maps.h5, cloud.ply, report.json.")
 @click.option("--force", is_flag=True, help="Go on where flags and calibration contradict.")
+@progress_option
 @json_option
-def reconstruct(scan: Path, as_json: bool, **options: object) -> int:
+def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: object) -> int:
     """Turn a scan into maps and a coloured point cloud."""
     from process.calibration.matching import matching
     from process.reconstruct import reconstruct as run
     from process.settings import ReconstructOptions
 
     asked = ReconstructOptions(**options)  # type: ignore[arg-type]
-    summary = run(scan, matching(scan, asked, lambda text: click.echo(text, err=True)))
+    matched = matching(scan, asked, lambda text: click.echo(text, err=True))
+    summary = run(scan, matched, progress_printer(with_progress))
     _show_json(summary) if as_json else _show_words(summary)
     return 0 if summary.complete else EXIT_INCOMPLETE
 
@@ -98,12 +100,13 @@ def _show_words(summary: Summary) -> None:
 
 @click.command()
 @_SCAN
+@progress_option
 @json_option
-def verify(scan: Path, as_json: bool) -> int:
+def verify(scan: Path, as_json: bool, with_progress: bool) -> int:
     """Read a whole scan and check every frame."""
     from acquire.verify import verify as run
 
-    report = run(scan)
+    report = run(scan, progress_printer(with_progress))
     print_json(report.as_dict()) if as_json else click.echo("\n".join(report.words()))
     if not report.ok:
         return EXIT_FAILED
