@@ -18,10 +18,13 @@ from textual.dom import DOMNode
 from textual.message import Message
 
 from tui.driver import ConsoleDriver, Meter
+from tui.fault_book import FaultBook
+from tui.job_desk import JobDesk
 from tui.keynames import key_name
 from tui.logbook import LogBook, local_time
 from tui.messages import (
     CommandAnswered,
+    JobChanged,
     LinkChanged,
     MapsArrived,
     News,
@@ -86,6 +89,8 @@ class ConsoleApp(App[None]):
         self.read_only = options.read_only
         self.draft = options.draft
         self.logbook = LogBook(clock)
+        self.fault_book = FaultBook()
+        self.jobs = JobDesk(self)
         self.view = RigView(me=options.me)
         self.meter = Meter()
         """What the terminal's link carries."""
@@ -136,8 +141,9 @@ class ConsoleApp(App[None]):
             self._driver.ask(picture=picture)
 
     def on_unmount(self) -> None:
-        """End the input thread."""
+        """End the input thread, and what runs in child processes."""
         self._link.close()
+        self.jobs.close()
 
     def say(self, text: str, level: str = "info") -> None:
         """A line for the log."""
@@ -171,6 +177,7 @@ class ConsoleApp(App[None]):
 
     def on_status_arrived(self, message: StatusArrived) -> None:
         """The newest state."""
+        self.fault_book.take(message.status.faults)
         before = self.view.status
         self.view = replace(self.view, status=message.status)
         for text, level in self._narrator.said(before, message.status):
@@ -229,6 +236,10 @@ class ConsoleApp(App[None]):
     def on_page_known(self, message: PageKnown) -> None:
         """The address of the page."""
         self.refresh_view(url=message.url)
+
+    def on_job_changed(self, message: JobChanged) -> None:
+        """A child process is further, or has ended."""
+        self.jobs.heard(message.job)
 
     def on_note(self, message: Note) -> None:
         """A line from elsewhere in this process."""

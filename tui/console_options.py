@@ -37,6 +37,7 @@ def options_for(
         keymap=keymap,
         picture=picture,
         theme=theme,
+        data_dir=config.data_dir,
     )
 
 

@@ -1,4 +1,4 @@
-"""Reads maps.h5 of a scan for people to look at: bounded in memory, and every way it can be unreadable is one line."""
+"""Maps for people to look at: those of a scan's maps.h5, bounded in memory, or those of the sweep so far."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.layout import MAPS_NAME
+from acquire.contract.messages import ResultProgress
 from acquire.contract.scan_reader import read_layout
 from tui.maps import MEDIAN_PX, MapSet
+from tui.view import MapsView
 
-MAX_SAMPLES = 4_000_000
-"""Larger maps are sampled: 32 MB are enough for any terminal."""
+MAX_SAMPLES = 1_000_000
+"""Larger maps are sampled, so that a new threshold shows within a blink; 1024 x 768 are whole."""
 
 
 def read_maps(folder: Path) -> MapSet:
@@ -60,3 +62,18 @@ def _of_scan(folder: Path) -> tuple[int, int]:
     except ScanFileError:
         return 0, 0
     return layout.format.bit_depth, layout.count
+
+
+def maps_of_sweep(found: MapsView, progress: ResultProgress | None) -> MapSet:
+    """The sampled maps of the results lane; the worker's progress tells how many frames there will be."""
+    header = found.header
+    return MapSet(
+        minimum=found.minimum,
+        maximum=found.maximum,
+        crossing=found.crossing,
+        step=header.step,
+        contrast=round(header.contrast / 2 ** (header.bit_depth - 8)),
+        bit_depth=header.bit_depth,
+        folded_through=header.folded_through,
+        frames=progress.expected if progress is not None and progress.scan_uid == header.scan_uid else 0,
+    )

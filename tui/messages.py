@@ -9,6 +9,7 @@ from typing import Any
 from textual.message import Message
 
 from acquire.contract.messages import ResultEnd, ResultProgress, Status
+from tui.jobs import Job
 from tui.view import MapsView, PictureView
 
 
@@ -102,3 +103,14 @@ class Note(Message):
     text: str
     level: str = "info"
     """``info``, ``warning`` or ``error``."""
+
+
+@dataclass
+class JobChanged(Message):
+    """A child process of the console is further, or has ended."""
+
+    job: Job
+
+    def can_replace(self, message: Message) -> bool:
+        """Only the newest counts."""
+        return isinstance(message, JobChanged) and message.job.number == self.job.number

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 from textual.message import Message
@@ -49,6 +50,8 @@ class ConsoleOptions:
     draft: Draft = field(default_factory=Draft)
     """What the next scan starts from."""
     keymap: Mapping[str, str] = field(default_factory=dict)
+    data_dir: Path = field(default_factory=lambda: Path("~/sweepscope-scans").expanduser())
+    """Folder of all scans."""
     theme: str = "sweepscope-dark"
     picture: str = "half"
     """``half``, ``mono`` or ``off``."""

@@ -130,8 +130,8 @@ class RigScreenBase(Screen[None]):
         fault.show(view.status.faults if view.status else [])
         if not self.SHOWS_LOG:
             news.show(self.shell.logbook.lines)
-        keys.show(self.offers())
         self.show(view)
+        keys.show(self.offers())  # what can be done may depend on what is shown now
 
     def offers(self) -> list[tuple[str, str]]:
         """Key and words of everything that can be done now; what the panes show beside its value comes last."""

@@ -35,17 +35,3 @@ class ScansScreen(_Pending):
 
     NAME = "scans"
     WORDS = "This screen is not there yet: use 'sweepscope info SCAN' and 'sweepscope verify SCAN'."
-
-
-class FaultsScreen(_Pending):
-    """All faults."""
-
-    NAME = "faults"
-    WORDS = "This screen is not there yet: the newest fault is in the banner of every screen."
-
-
-class LogScreen(_Pending):
-    """All news."""
-
-    NAME = "log"
-    WORDS = "This screen is not there yet: the newest lines are on the scan screen (1)."

@@ -1,0 +1,335 @@
+"""The reconstruct screen: the four maps of a sweep or an older scan, a contrast that shows at once, and making it."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Grid
+
+from acquire.contract.errors import SweepscopeError
+from tui.jobs import Job
+from tui.maps import MapSet, Quantity, Window, counts_of, histogram, layers_of, mask_of, sample_at, values_at, window_on
+from tui.maps_file import maps_of_sweep, read_maps
+from tui.scan_words import reconstruct_words
+from tui.screens.base import RigScreenBase
+from tui.screens.dialogs import Field, Form
+from tui.view import MapsView, RigView
+from tui.widgets.contrast_pane import ContrastPane, ContrastView
+from tui.widgets.job_lines import JobLines
+from tui.widgets.map_view import MapView
+from tui.words import is_running
+
+METHODS = ("as recorded", "auto", "fit", "probit", "linear")
+BINS = 128
+
+
+class ReconstructScreen(RigScreenBase):
+    """Maps and cloud."""
+
+    NAME = "reconstruct"
+    SUMMARY = (
+        "The four maps: lowest and highest brightness of each pixel, where their difference is over the contrast, "
+        "and when the light crossed it. The threshold shows at once; g makes the scan's files with it."
+    )
+    BINDINGS = [
+        Binding("left_square_bracket", "contrast(-1)", "contrast -", id="reconstruct.less", tooltip="by 1; { by 10"),
+        Binding("right_square_bracket", "contrast(1)", "contrast +", id="reconstruct.more", tooltip="by 1; } by 10"),
+        Binding("left_curly_bracket", "contrast(-10)", "contrast -10", show=False),
+        Binding("right_curly_bracket", "contrast(10)", "contrast +10", show=False),
+        Binding("t", "threshold", "threshold", id="reconstruct.threshold", tooltip="type the contrast"),
+        Binding("equals_sign", "zoom(1)", "zoom in", show=False),
+        Binding("plus", "zoom(1)", "zoom in", id="reconstruct.nearer", tooltip="about the cursor"),
+        Binding("minus", "zoom(-1)", "zoom out", id="reconstruct.further"),
+        Binding("w", "which", "one map", id="reconstruct.which", tooltip="one map large, the next, all four again"),
+        Binding("k", "method", "method", id="reconstruct.method", tooltip="how a crossing is estimated"),
+        Binding("g", "make", "make it", id="reconstruct.make", tooltip="maps, cloud and report with these settings"),
+        Binding("E", "export", "export", id="reconstruct.export", tooltip="the same into another folder"),
+        Binding("x", "cancel", "cancel", id="reconstruct.cancel", tooltip="end the reconstruction that runs"),
+        Binding("L", "live", "live", id="reconstruct.live", tooltip="back to the sweep"),
+        *[
+            Binding(f"{shift}{key}", f"cursor({down},{right})", "cursor", show=False)
+            for shift, by in (("", 1), ("shift+", 8))
+            for key, down, right in (("up", -by, 0), ("down", by, 0), ("left", 0, -by), ("right", 0, by))
+        ],
+    ]
+    DEFAULT_CSS = """
+    ReconstructScreen #maps { grid-size: 4; grid-gutter: 0 1; height: 1fr; padding: 0 1; }
+    ReconstructScreen #maps.square { grid-size: 2; }
+    ReconstructScreen #maps.one { grid-size: 1; }
+    """
+
+    def __init__(self, *, ascii_only: bool = False) -> None:
+        super().__init__(ascii_only=ascii_only)
+        self._views = {quantity: MapView(id=quantity.name.lower(), plain=ascii_only) for quantity in Quantity}
+        self._pane = ContrastPane(ascii_only=ascii_only)
+        self._jobs = JobLines(ascii_only=ascii_only)
+        self._maps: MapSet | None = None
+        self._mask: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._histogram: tuple[int, ...] = ()
+        self._window: Window | None = None
+        self._contrast: int | None = None
+        self._alone: Quantity | None = None
+        self._method = 0
+        self._folder: Path | None = None
+        """The older scan that is shown; None: the sweep."""
+        self._live: MapsView | None = None
+        self._problem = ""
+        self._last = ""
+
+    def body(self) -> ComposeResult:
+        """Maps above, the threshold below."""
+        yield Grid(*self._views.values(), id="maps")
+        yield self._pane
+        yield self._jobs
+
+    # ---- where the maps come from ----
+
+    def open_scan(self, folder: Path) -> None:
+        """Show the maps of an older scan."""
+        self._folder, self._maps, self._problem, self._last = folder, None, "", ""
+        self._contrast = None
+        self.shell.run_worker(self._read(folder), exit_on_error=False)
+
+    async def _read(self, folder: Path) -> None:
+        try:
+            maps = await asyncio.to_thread(read_maps, folder)
+        except SweepscopeError as error:
+            if folder == self._folder:
+                self._problem = str(error)
+                self._draw()
+            return
+        if folder == self._folder:
+            self._take(maps)
+            self.shell.refresh_view()
+
+    def show(self, view: RigView) -> None:
+        """The sweep's newest maps, unless an older scan is looked at."""
+        if self._folder is None and view.maps is not None and view.maps is not self._live:
+            self._live = view.maps
+            self._take(maps_of_sweep(view.maps, view.progress))
+        else:
+            self._draw()
+        self._jobs.show(self.shell.jobs.running)
+
+    def _take(self, maps: MapSet) -> None:
+        self._maps, self._problem = maps, ""
+        if self._contrast is None:
+            self._contrast = maps.contrast
+        self._window = window_on(maps, self._window)
+        self._histogram = tuple(int(count) for count in histogram(maps, BINS))
+        self._threshold()
+
+    def _threshold(self) -> None:
+        if self._maps is not None and self._contrast is not None:
+            self._mask = mask_of(self._maps, self._contrast)
+        self._draw()
+
+    # ---- what is seen ----
+
+    def on_resize(self, event: object) -> None:
+        """Four in a row or in a square, whichever shows more."""
+        super().on_resize(event)  # type: ignore[arg-type]
+        self.call_after_refresh(self._draw)
+
+    def _draw(self) -> None:
+        if not self.is_mounted:
+            return
+        self._arrange()
+        maps, window = self._maps, self._window
+        if maps is None or window is None:
+            words = self._problem or self._waiting_words()
+            for view in self._views.values():
+                view.show(None, None, words if view is self._first_view else "")
+            self._pane.show(ContrastView(source=self._source(), warning=self._problem, contrast=self._contrast or 0))
+            return
+        for layer in layers_of(maps, self._mask):
+            self._views[layer.quantity].show(layer, window)
+        assert self._contrast is not None
+        self._pane.show(
+            ContrastView(
+                source=self._source(),
+                contrast=self._contrast,
+                counts=counts_of(maps, self._mask, self._contrast),
+                histogram=self._histogram,
+                values=values_at(maps, self._mask, window).words() + (f"   zoom {window.zoom}" * (window.zoom > 1)),
+                settings=self._settings_words(maps),
+            )
+        )
+
+    @property
+    def _first_view(self) -> MapView:
+        return self._views[self._alone or Quantity.MINIMUM]
+
+    def _arrange(self) -> None:
+        grid = self.query_one("#maps", Grid)
+        rows, columns = self._maps.shape if self._maps else (3, 4)
+        width, height = max(8, grid.size.width), max(4, grid.size.height)
+        row = min(width / 4 / columns, 2 * (height - 2) / rows)
+        square = min(width / 2 / columns, 2 * (height / 2 - 2) / rows)
+        grid.set_class(self._alone is not None, "one")
+        grid.set_class(self._alone is None and square > row, "square")
+        for quantity, view in self._views.items():
+            view.display = self._alone in (None, quantity)
+
+    def _waiting_words(self) -> str:
+        status = self.view.status
+        if self._folder is not None:
+            return "reading ..."
+        if not self.view.connected:
+            return "not connected - retrying; 4 opens an older scan"
+        if is_running(status):
+            return "waiting for the worker's first maps"
+        return "no sweep yet; 4 opens an older scan"
+
+    def _source(self) -> str:
+        if self._folder is not None:
+            return f"{self._folder.name} (maps.h5)"
+        status, maps = self.view.status, self._maps
+        name = Path(status.scan_path).name if status and status.scan_path else "the sweep"
+        return f"live: {name}" + (f", through frame {maps.folded_through} of {maps.frames}" if maps else "")
+
+    def _settings_words(self, maps: MapSet) -> str:
+        below = self._contrast is not None and self._contrast < maps.contrast
+        hint = f"; crossings under {maps.contrast} are not known until g makes it" if below else ""
+        sampled = f", 1 pixel of {maps.step} each way shown" if maps.step > 1 else ""
+        last = f"   {self._last}" if self._last else ""
+        return f"method {METHODS[self._method]}, median {maps.median_px} px{sampled}{hint}{last}"
+
+    # ---- what can be done ----
+
+    @property
+    def _scan(self) -> Path | None:
+        """The scan that can be made again."""
+        if self._folder is not None:
+            return self._folder
+        status = self.view.status
+        return Path(status.scan_path) if status is not None and status.scan_path else None
+
+    def why_not(self, action: str) -> str:
+        """Maps must be there; a scan that is running is not made again."""
+        job = self.shell.jobs.board.running_on(str(self._scan)) if self._scan else None
+        if action in ("contrast", "threshold", "zoom", "cursor"):
+            return "" if self._maps is not None else "there are no maps to see"
+        if action == "cancel":
+            return "" if job else "nothing runs"
+        if action == "live":
+            return "" if self._folder is not None else "this is the sweep already"
+        return self._why_not_make(job) if action in ("make", "export") else ""
+
+    def _why_not_make(self, job: Job | None) -> str:
+        if self._scan is None:
+            return "there is no scan yet"
+        if self._folder is None and is_running(self.view.status):
+            return "the sweep runs: its files are made at its end"
+        return "it is being made: x cancels" if job else ""
+
+    def action_contrast(self, counts: int) -> None:
+        """Another threshold."""
+        if self._contrast is not None:
+            self._contrast = max(0, min(255, self._contrast + counts))
+            self._threshold()
+
+    def action_threshold(self) -> None:
+        """Type it."""
+        field = Field("contrast", "contrast", str(self._contrast), help="0 to 255 counts of 8 bit")
+
+        def take(contrast: int | None) -> None:
+            if contrast is not None:
+                self._contrast = contrast
+                self._threshold()
+
+        self.shell.push_screen(Form("contrast threshold", [field], _contrast), take)
+
+    def action_zoom(self, steps: int) -> None:
+        """Nearer or further."""
+        if self._window is not None:
+            self._window = self._window.zoomed(steps)
+            self._draw()
+
+    def action_cursor(self, down: int, right: int) -> None:
+        """Move by about one cell of what is drawn."""
+        if self._window is not None:
+            stride = self._window.stride(self._first_view.picture_cells[1])
+            self._window = self._window.moved(down * stride, right * stride)
+            self._draw()
+
+    def on_map_view_pointed(self, message: MapView.Pointed) -> None:
+        """The cursor goes where it was clicked."""
+        if self._window is not None:
+            self._window = sample_at(self._window, message.row, message.column, message.rows, message.columns)
+            self._draw()
+
+    def action_which(self) -> None:
+        """One map, the next, all."""
+        order: list[Quantity | None] = [None, *Quantity]
+        self._alone = order[(order.index(self._alone) + 1) % len(order)]
+        self._draw()
+        self.call_after_refresh(self._draw)
+
+    def action_method(self) -> None:
+        """The next method."""
+        self._method = (self._method + 1) % len(METHODS)
+        self._draw()
+
+    def action_live(self) -> None:
+        """Back to the sweep."""
+        self._folder, self._maps, self._live, self._contrast = None, None, None, None
+        self.show_all(self.view)
+
+    def action_make(self) -> None:
+        """Make maps, cloud and report of this scan with these settings."""
+        self._make(None)
+
+    def action_export(self) -> None:
+        """The same elsewhere; what is beside the scan stays."""
+        field = Field("out", "into the folder", "", help="maps.h5, cloud.ply and report.json go there")
+
+        def export(out: str | None) -> None:
+            if out:
+                self._make(out)
+
+        self.shell.push_screen(Form("export with these settings", [field], _folder, done="makes them"), export)
+
+    def _make(self, out: str | None) -> None:
+        scan = self._scan
+        assert scan is not None
+        arguments = ["reconstruct", str(scan), "--json", "--progress"]
+        if self._contrast is not None:
+            arguments += ["--contrast", str(self._contrast)]
+        if self._method:
+            arguments += ["--method", METHODS[self._method]]
+        if out is not None:
+            arguments += ["--out", out]
+
+        def ended(job: Job) -> None:
+            if job.result is not None and not job.cancelled:
+                self._last = reconstruct_words(job.result)
+                self.say(f"{scan.name}: {self._last}")
+                if out is None:
+                    self.open_scan(scan)
+
+        self.shell.jobs.start(f"reconstruct {scan.name}", arguments, str(scan), ended)
+
+    def action_cancel(self) -> None:
+        """End the reconstruction."""
+        job = self.shell.jobs.board.running_on(str(self._scan))
+        if job is not None:
+            self.shell.jobs.cancel(job)
+
+
+def _contrast(texts: dict[str, str]) -> int:
+    if not texts["contrast"].isdigit() or int(texts["contrast"]) > 255:
+        raise ValueError("give a whole number from 0 to 255")
+    return int(texts["contrast"])
+
+
+def _folder(texts: dict[str, str]) -> str:
+    path = Path(texts["out"]).expanduser()
+    if not texts["out"] or not path.is_absolute():
+        raise ValueError("give the whole path of a folder; it is made if it is not there")
+    return str(path)
