@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Grid
+from textual.widgets import Static
 
 from acquire.contract.errors import SweepscopeError
 from tui.jobs import Job
@@ -61,11 +62,14 @@ class ReconstructScreen(RigScreenBase):
     ReconstructScreen #maps { grid-size: 4; grid-gutter: 0 1; height: 1fr; padding: 0 1; }
     ReconstructScreen #maps.square { grid-size: 2; }
     ReconstructScreen #maps.one { grid-size: 1; }
+    ReconstructScreen #nothing { height: 1fr; content-align: center middle; text-align: center; color: $text-muted;
+                                 padding: 0 4; }
     """
 
     def __init__(self, *, ascii_only: bool = False) -> None:
         super().__init__(ascii_only=ascii_only)
         self._views = {quantity: MapView(id=quantity.name.lower(), plain=ascii_only) for quantity in Quantity}
+        self._nothing = Static("", id="nothing", markup=False)
         self._pane = ContrastPane(ascii_only=ascii_only)
         self._jobs = JobLines(ascii_only=ascii_only)
         self._maps: MapSet | None = None
@@ -84,6 +88,7 @@ class ReconstructScreen(RigScreenBase):
     def body(self) -> ComposeResult:
         """Maps above, the threshold below."""
         yield Grid(*self._views.values(), id="maps")
+        yield self._nothing
         yield self._pane
         yield self._jobs
 
@@ -139,12 +144,11 @@ class ReconstructScreen(RigScreenBase):
     def _draw(self) -> None:
         if not self.is_mounted:
             return
-        self._arrange()
         maps, window = self._maps, self._window
+        self.query_one("#maps").display, self._nothing.display = maps is not None, maps is None
+        self._arrange()
         if maps is None or window is None:
-            words = self._problem or self._waiting_words()
-            for view in self._views.values():
-                view.show(None, None, words if view is self._first_view else "")
+            self._nothing.update(self._problem or self._waiting_words())
             self._pane.show(ContrastView(source=self._source(), warning=self._problem, contrast=self._contrast or 0))
             return
         for layer in layers_of(maps, self._mask):
@@ -168,7 +172,8 @@ class ReconstructScreen(RigScreenBase):
     def _arrange(self) -> None:
         grid = self.query_one("#maps", Grid)
         rows, columns = self._maps.shape if self._maps else (3, 4)
-        width, height = max(8, grid.size.width), max(4, grid.size.height)
+        place = self.query_one("#body").size
+        width, height = max(8, place.width - 2), max(4, place.height - self._pane.outer_size.height)
         row = min(width / 4 / columns, 2 * (height - 2) / rows)
         square = min(width / 2 / columns, 2 * (height / 2 - 2) / rows)
         grid.set_class(self._alone is not None, "one")
@@ -269,7 +274,6 @@ class ReconstructScreen(RigScreenBase):
         order: list[Quantity | None] = [None, *Quantity]
         self._alone = order[(order.index(self._alone) + 1) % len(order)]
         self._draw()
-        self.call_after_refresh(self._draw)
 
     def action_method(self) -> None:
         """The next method."""

@@ -75,8 +75,9 @@ class MapView(Widget):
         self._plain = plain
         self._layer: Layer | None = None
         self._levels = np.zeros((0, 0), np.int8)
+        self._window: Window | None = None
         self._cursor = (-1, -1)
-        self._words = ""
+        self._high = 0.0
         self.painted = 0
         """How often the picture changed."""
 
@@ -86,12 +87,18 @@ class MapView(Widget):
         size = self.content_size
         return max(1, (size.height - 2) * (1 if self._plain else 2)), max(1, size.width - 1)
 
-    def show(self, layer: Layer | None, window: Window | None, words: str = "") -> None:
-        """Take a map and what is in view of it; ``words`` stand there while there is none."""
-        if layer is None or window is None:
-            if self._layer is not None or words != self._words:
-                self._layer, self._levels, self._words = None, np.zeros((0, 0), np.int8), words
-                self.refresh()
+    def show(self, layer: Layer, window: Window) -> None:
+        """Take a map and what is in view of it."""
+        self._layer, self._window = layer, window
+        self._compute()
+
+    def on_resize(self) -> None:
+        """Draw for the new size."""
+        self._compute()
+
+    def _compute(self) -> None:
+        layer, window = self._layer, self._window
+        if layer is None or window is None or not self.size:
             return
         down, across = self.picture_cells
         shape = (round(window.height * (0.5 if self._plain else 1.0)) or 1, max(1, round(window.width)))
@@ -102,11 +109,9 @@ class MapView(Widget):
         levels = levels_of(cells_of(layer.values, window, rows, columns), layer.low, layer.high)
         row, column = cell_of_cursor(window, rows, columns)
         cursor = (row if self._plain else row // 2, column)
-        same_layer = self._layer is not None and (self._layer.high, self._layer.unit) == (layer.high, layer.unit)
-        if same_layer and cursor == self._cursor and np.array_equal(levels, self._levels):
-            self._layer = layer
+        if (cursor, layer.high) == (self._cursor, self._high) and np.array_equal(levels, self._levels):
             return
-        self._layer, self._levels, self._cursor = layer, levels, cursor
+        self._levels, self._cursor, self._high = levels, cursor, layer.high
         self.painted += 1
         self.refresh()
 
@@ -126,9 +131,8 @@ class MapView(Widget):
 
     def _line(self, y: int) -> Strip:
         width = self.size.width
-        if self._layer is None:
-            words = self._words if y == self.size.height // 2 else ""
-            return Strip([Segment(words[:width].center(width), _DIM)], width)
+        if self._layer is None or not self._levels.size:
+            return Strip.blank(width)
         rows = len(self._levels) if self._plain else (len(self._levels) + 1) // 2
         if y == 0:
             return Strip([Segment(f"{self._layer.quantity:<{width}}"[:width], _LABEL)], width)
