@@ -10,13 +10,15 @@ from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messages import Proposal
 from acquire.contract.units import NS_PER_MS, NS_PER_S, ns_from_ms
 
+from .capture import Capture, capture_path
 from .exposure_search import ExposureSearch
 from .jog_hold import LEASE_MS, MOST_STEPS, JogHold
 from .preparing import LONGEST_EXPOSURE_SHARE, estimated_duration_s, plan_of, space_for
 from .prescan import Prescan, look_positions
 from .prescan_findings import Looks, find_bounds, propose_exposure
-from .requests import JogHoldRequest, NoArguments, PrescanRequest, ScanRequest
+from .requests import CaptureRequest, JogHoldRequest, NoArguments, PrescanRequest, ScanRequest, SpecimenRequest
 from .rig_desk import Result, RigDesk
+from .specimen import Specimen
 
 
 class ActivityDesk(RigDesk):
@@ -98,6 +100,26 @@ class ActivityDesk(RigDesk):
         """What the camera can, within what a frame's period leaves."""
         low, high = self._daemon.camera_info.limits.get("exposure_ms", (0.01, 60_000.0))
         return low, max(low, min(high, LONGEST_EXPOSURE_SHARE * 1000 / self._daemon.config.rig.sweep.max_rate_hz))
+
+    # ---- one picture in full size, and what lies under the simulated camera ----
+
+    def _capture(self, request: CaptureRequest) -> Result:
+        daemon = self._daemon
+        self._need_rest("take a picture")
+        path = capture_path(request.path, daemon.config.data_dir)
+        activity = Capture(path, daemon.camera_info.format.pixel_format, daemon.interlude.snap)
+        daemon.interlude.run(activity, daemon.clock.now_ns())
+        return {"path": str(path)}
+
+    def _specimen(self, request: SpecimenRequest) -> Result:
+        daemon = self._daemon
+        self._need_rest("change the specimen")
+        wanted = {name: value for name, value in msgspec.structs.asdict(request).items() if value is not None}
+        if "moved_um" in wanted:
+            wanted["specimen_moved_um"] = wanted.pop("moved_um")
+        simulation = daemon.rig.specimen(wanted)
+        daemon.interlude.run(Specimen(lambda: daemon.rig.show_specimen(simulation)), daemon.clock.now_ns())
+        return {name: getattr(simulation, name) for name in ("object", "tilt_x_deg", "tilt_y_deg", "yaw_deg")}
 
     # ---- the pre-scan ----
 

@@ -13,6 +13,7 @@ from acquire.contract.messages import Purpose
 from acquire.contract.plan import Position
 
 Label = Annotated[str, Meta(max_length=200)]
+Shift = Annotated[float, Meta(ge=-5000, le=5000)]
 
 
 class ScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -93,6 +94,24 @@ class ControlRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     action: Literal["take", "renew", "release"]
 
 
+class CaptureRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``capture``: one picture in full size as a PNG file."""
+
+    path: Annotated[str, Meta(max_length=4096)] = ""
+    """Absolute path within the folder of scans, of a file that is not there; empty: captures/<UTC>.png there."""
+
+
+class SpecimenRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """``specimen``: lay something else under the simulated camera, or turn it; what is left out stays."""
+
+    object: Literal["stirrup", "dome", "wedge", "flat", "checkerboard"] | None = None
+    tilt_x_deg: Annotated[float, Meta(ge=-30, le=30)] | None = None
+    tilt_y_deg: Annotated[float, Meta(ge=-30, le=30)] | None = None
+    yaw_deg: Annotated[float, Meta(ge=-180, le=180)] | None = None
+    moved_um: tuple[Shift, Shift, Shift] | None = None
+    """Displacement x, y, z from its place, in um."""
+
+
 class AcknowledgeRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """``acknowledge``: the operator has seen a fault; empty means all."""
 
@@ -122,6 +141,8 @@ REQUESTS: dict[str, type[msgspec.Struct]] = {
     "prescan": PrescanRequest,
     "jog_hold": JogHoldRequest,
     "estimate": ScanRequest,
+    "capture": CaptureRequest,
+    "specimen": SpecimenRequest,
     "acknowledge": AcknowledgeRequest,
     "shutdown": NoArguments,
 }

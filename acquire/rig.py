@@ -6,14 +6,16 @@ import json
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from acquire.cameras.protocol import Camera, HostFiredCamera
 from acquire.contract.config_model import RigConfig
-from acquire.contract.errors import ConfigError
+from acquire.contract.errors import CommandRefusedError, ConfigError
 from acquire.contract.layout import TRUTH_NAME
 from acquire.contract.plan import SweepPlan
+from acquire.contract.simulation_config import SimulationConfig
 from acquire.stages.protocol import Stage, StageEvent, StageInfo, StageSink, Triggered
 
 HOST_TRIGGER = "host"
@@ -42,6 +44,18 @@ class Rig:
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp."""
         self.stage.set_lamp(on=on)
+
+    def specimen(self, changes: dict[str, Any]) -> SimulationConfig:
+        """The simulation with ``changes``; only a simulated rig has one.
+
+        Raises:
+            CommandRefusedError: a real rig, or a value out of its bounds.
+        """
+        raise CommandRefusedError("only the simulated rig can change its specimen: lay it on the stage by hand")
+
+    def show_specimen(self, simulation: SimulationConfig) -> str:
+        """Compute the scene and show it from now on; returns what lies there, in words. Called in a thread."""
+        raise NotImplementedError
 
 
 @dataclass
@@ -104,6 +118,16 @@ class SimulatedRig(Rig):
         """Switch the lamp; the camera sees it."""
         super().set_lamp(on=on)
         self._camera.lamp_on = on
+
+    def specimen(self, changes: dict[str, Any]) -> SimulationConfig:
+        """The simulation as it is, with ``changes``."""
+        return msgspec.structs.replace(self._camera.simulation, **changes)
+
+    def show_specimen(self, simulation: SimulationConfig) -> str:
+        """Compute the scene and show it from now on."""
+        self._camera.show(simulation)
+        tilts = f"tilted by {simulation.tilt_x_deg:g} and {simulation.tilt_y_deg:g} degrees"
+        return f"{simulation.object}, {tilts}, turned by {simulation.yaw_deg:g}"
 
 
 def build_rig(config: RigConfig) -> Rig:

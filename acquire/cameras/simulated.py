@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 from acquire.contract.config_model import RigConfig
 from acquire.contract.messages import FrameFormat
+from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import Renderer, Scene, build_scene
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
@@ -64,20 +65,32 @@ class SimulatedCamera:
     def open(self, sink: CameraSink) -> CameraInfo:
         """Build the scene and start to deliver."""
         self._sink = sink
-        if self.scene is None:
-            stage = self._config.stage
-            self.scene = build_scene(
-                self._config.simulation,
-                width=self._format.width,
-                height=self._format.height,
-                um_per_microstep=stage.um_per_microstep,
-            )
-        self._renderer = Renderer(self.scene)
-        # compiled now, not within the first exposure, whose frame would come too late
-        self._renderer.render(0, exposure_ms=1.0, gain=0.0, brightness=0.0)
+        self.show(self.simulation)
         self._thread = threading.Thread(target=self._serve, name="simulated-camera", daemon=True)
         self._thread.start()
         return CameraInfo(kind="simulated", format=self._format, limits=dict(_LIMITS))
+
+    @property
+    def simulation(self) -> SimulationConfig:
+        """What lies under the camera."""
+        return self._config.simulation if self.scene is None else self.scene.config
+
+    def show(self, simulation: SimulationConfig) -> None:
+        """Compute the scene (a second or two) and show it from the next exposure on.
+
+        Raises:
+            ConfigError: a value out of its bounds; what was shown is still shown.
+        """
+        if self.scene is None or self.scene.config != simulation:
+            um_per_microstep = self._config.stage.um_per_microstep
+            width, height = self._format.width, self._format.height
+            scene = build_scene(simulation, width=width, height=height, um_per_microstep=um_per_microstep)
+        else:
+            scene = self.scene
+        renderer = Renderer(scene)
+        # compiled now, not within the first exposure, whose frame would come too late
+        renderer.render(0, exposure_ms=1.0, gain=0.0, brightness=0.0)
+        self.scene, self._renderer = scene, renderer
 
     def close(self) -> None:
         """Stop delivering; idempotent."""

@@ -23,8 +23,7 @@ from tui.widgets.scan_rows import ScanDetail
 def quick(request, monkeypatch):
     """Answers count at once, but where that is the test; the folder is looked at often."""
     monkeypatch.setattr(scans, "LOOK_S", 0.1)
-    if "type_ahead" not in request.node.name:
-        monkeypatch.setattr(dialogs, "TYPE_AHEAD_S", 0.0)
+    monkeypatch.setattr(dialogs, "TYPE_AHEAD_S", 1000.0 if "type_ahead" in request.node.name else 0.0)
 
 
 @pytest.fixture

@@ -213,4 +213,31 @@ def control(session: Session, action: str, as_json: bool) -> None:
     _show("control", result, as_json)
 
 
-COMMANDS: tuple[click.Command, ...] = (goto, jog, home, zero, lamp, camera, prescan, control)
+@camera.command("capture")
+@click.argument("path", required=False)
+@_wait
+@json_option
+@click.pass_obj
+def camera_capture(session: Session, path: str | None, wait: bool, as_json: bool) -> None:
+    """Take one picture in full size as PATH, a .png within the folder of scans [captures/<time>.png there]."""
+    with session.client() as client:
+        result, _ = _run(client, "capture", {"path": path}, wait=wait)
+    _show("capture", result, as_json)
+
+
+@click.command()
+@click.option("--object", "object_", type=click.Choice(["stirrup", "dome", "wedge", "flat", "checkerboard"]))
+@click.option("--tilt-x", "tilt_x_deg", type=float, help="Degrees; positive lifts the far side.")
+@click.option("--tilt-y", "tilt_y_deg", type=float, help="Degrees; positive lifts the left side.")
+@click.option("--yaw", "yaw_deg", type=float, help="Turn about the vertical in degrees.")
+@_wait
+@json_option
+@click.pass_obj
+def specimen(session: Session, /, object_: str | None, wait: bool, as_json: bool, **args: Any) -> None:
+    """Lay something else under the simulated camera, or tilt it; what is left out stays."""
+    with session.client() as client:
+        result, _ = _run(client, "specimen", {"object": object_, **args}, wait=wait)
+    _show("specimen", result, as_json)
+
+
+COMMANDS: tuple[click.Command, ...] = (goto, jog, home, zero, lamp, camera, prescan, specimen, control)

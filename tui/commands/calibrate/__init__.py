@@ -9,6 +9,7 @@ from .checks import check, rezero
 from .original import import_original
 from .plane import plane, reference_planes_command, refit
 from .quarter_circle import quarter_circle
+from .watch import watch
 
 
 @click.group()
@@ -16,7 +17,7 @@ def calibrate() -> None:
     """Calibrate camera and light plane, and check what they are worth."""
 
 
-for _command in (camera, plane, refit, quarter_circle, reference_planes_command, check, rezero, import_original):
+for _command in (camera, plane, refit, quarter_circle, reference_planes_command, check, rezero, watch, import_original):
     calibrate.add_command(_command)
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

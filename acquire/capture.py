@@ -1,0 +1,92 @@
+"""One picture in full size as a PNG: for calibration, where the reduced ones of the preview lane are too coarse."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.cameras.protocol import CameraFrame
+from acquire.contract.errors import CommandRefusedError, ScanFileError
+
+from .background import Background
+
+FOLDER: Final = "captures"
+_BAYER: Final = {
+    "bayer_rggb": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_bggr": cv2.COLOR_BayerBGGR2BGR,
+    "bayer_grbg": cv2.COLOR_BayerGRBG2BGR,
+    "bayer_gbrg": cv2.COLOR_BayerGBRG2BGR,
+}
+
+
+def capture_path(wanted: str, data_dir: Path) -> Path:
+    """Where a picture goes.
+
+    Raises:
+        CommandRefusedError: outside the folder of scans, not a .png, or there already.
+    """
+    data_dir = data_dir.resolve()
+    if not wanted:
+        return data_dir / FOLDER / f"{datetime.now(UTC).strftime('%Y%m%dT%H%M%S%fZ')}.png"
+    path = Path(os.path.normpath(wanted))
+    if not path.is_absolute() or not path.parent.resolve().is_relative_to(data_dir):
+        raise CommandRefusedError(f"pictures go into the folder of scans {data_dir}, not to {wanted[:200]}")
+    if path.suffix.lower() != ".png":
+        raise CommandRefusedError(f"a picture is a .png file, not {path.name[:100]}")
+    if path.exists():
+        raise CommandRefusedError(f"{path} is there already and was left alone")
+    return path
+
+
+def write_png(path: Path, pixels: NDArray[Any], pixel_format: str) -> None:
+    """Write [h, w] or [h, w, 3] RGB, uint8 or uint16 as stored, by a rename; Bayer frames become colour.
+
+    Raises:
+        ScanFileError: it cannot be written; nothing of it is left.
+    """
+    if pixel_format in _BAYER:
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), _BAYER[pixel_format])
+    elif pixels.ndim == 3:
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR)
+    encoded = cv2.imencode(".png", pixels)[1]
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(encoded.tobytes())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise ScanFileError(f"cannot write {path}: {error.strerror}; take the picture again") from None
+
+
+class Capture(Background):
+    """Takes one picture and writes it."""
+
+    name: ClassVar[str] = "capture"
+    snaps: ClassVar[bool] = True
+
+    def __init__(self, path: Path, pixel_format: str, snap: Callable[[int], None]) -> None:
+        super().__init__()
+        self._path, self._pixel_format, self._snap = path, pixel_format, snap
+
+    def begin(self, now_ns: int) -> None:
+        """Ask for the picture."""
+        self._snap(now_ns)
+
+    def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
+        """Write it."""
+        self.share = 0.5
+        self.do(lambda: self._write(frame), now_ns)
+
+    def _write(self, frame: CameraFrame) -> str:
+        write_png(self._path, frame.pixels, self._pixel_format)
+        return f"saved {self._path}"
