@@ -409,6 +409,8 @@ def run_console(
 
     prepare_terminal()
     app = ConsoleApp(make_link, options, on_started=on_started, driver_class=ConsoleDriver)
+    if run_dir is not None:
+        app.jobs.board.environ["SWEEPSCOPE_RUN"] = str(run_dir)
     app.run(mouse=False)
     if app.return_code:
         print("the console ended by an error; if the terminal looks odd, type: reset", file=sys.stderr)

@@ -75,6 +75,8 @@ class JobBoard:
         """``program``: what is run with a job's arguments; by default this program."""
         self._on_change = on_change
         self._program = list(program) or [sys.executable, "-m", "tui.cli"]
+        self.environ: dict[str, str] = {}
+        """What children are told beside this process' own environment."""
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._jobs: dict[int, Job] = {}
@@ -115,7 +117,7 @@ class JobBoard:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             start_new_session=True,  # Ctrl-C in this terminal is not meant for it
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, "PYTHONUNBUFFERED": "1", **self.environ},
         )
         job = Job(next(self._numbers), title, subject, time.monotonic())
         thread = threading.Thread(target=self._follow, args=(job.number, child, on_result), name=f"job-{job.number}")

@@ -55,7 +55,7 @@ class ViewFacts:
         """``tilted by 14 degrees, right side higher``."""
         if not self.found:
             return self.reason
-        part = "" if self.whole else ", only a part of it"
+        part = "" if self.whole else ", in part"
         if not self.higher:
             return f"flat ({self.tilt_deg:.0f} degrees){part}"
         return f"{self.higher} side higher by {self.tilt_deg:.0f} degrees{part}"

@@ -30,7 +30,7 @@ class ScreenEntry:
 SCREENS: tuple[ScreenEntry, ...] = (
     ScreenEntry("scan", "picture, stage, light, sweep", "tui.screens.scan:ScanScreen"),
     ScreenEntry("reconstruct", "maps, contrast, cloud", "tui.screens.reconstruct:ReconstructScreen"),
-    ScreenEntry("calibrate", "camera and light plane", "tui.screens.pending:CalibrateScreen"),
+    ScreenEntry("calibrate", "camera and light plane", "tui.screens.calibrate:CalibrateScreen"),
     ScreenEntry("scans", "the folder of scans", "tui.screens.scans:ScansScreen"),
     ScreenEntry("faults", "what happened, what is safe, what to do", "tui.screens.faults:FaultsScreen"),
     ScreenEntry("log", "all news of this session", "tui.screens.log:LogScreen"),

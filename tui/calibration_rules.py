@@ -1,0 +1,68 @@
+"""What the calibrate screen can do in which situation, in words; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+LEAST_VIEWS = 3
+POSES: tuple[dict[str, Any], ...] = tuple(
+    {"tilt_x_deg": tilt_x, "tilt_y_deg": tilt_y, "moved_um": [x, y, 0.0]}
+    for tilt_x, tilt_y, x, y in (
+        (0.0, 0.0, 0.0, 0.0), (0.0, -14.0, 1100.0, 700.0), (0.0, 14.0, -1100.0, -700.0), (14.0, 0.0, -1100.0, 700.0),
+        (-14.0, 0.0, 1100.0, -700.0), (10.0, 10.0, 0.0, 0.0), (-10.0, -10.0, 600.0, 0.0), (12.0, -9.0, -600.0, 0.0),
+    )
+)  # fmt: skip
+"""Poses of the simulated board that cover field and tilts; the first lies flat."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Everything that decides."""
+
+    plane_step: bool
+    """The second step, the light plane; else the camera."""
+    sweep_runs: bool
+    simulated: bool
+    views: int
+    """Captured so far."""
+    sweeps: int
+    """Calibration sweeps of the folder."""
+    used: int
+    """Those that count."""
+    has_camera: bool
+    has_verdict: bool
+    """This step came to a result."""
+    works: bool
+    """A calibration runs."""
+
+
+_Rule = tuple[frozenset[str], Callable[[Situation], bool], str]
+_RULES: tuple[_Rule, ...] = (
+    (frozenset({"capture", "sweep", "pose", "object", "preview"}), lambda s: s.sweep_runs, "a sweep runs"),
+    (frozenset({"pose", "object"}), lambda s: not s.simulated, "only the simulated rig: lay the board by hand"),
+    (frozenset({"capture", "undo"}), lambda s: s.plane_step, "views belong to the first step: m goes there"),
+    (frozenset({"sweep", "use"}), lambda s: not s.plane_step, "sweeps belong to the second step: m goes there"),
+    (frozenset({"undo"}), lambda s: not s.views, "there is no view"),
+    (frozenset({"use"}), lambda s: not s.sweeps, "there is no sweep"),
+    (frozenset({"cancel"}), lambda s: not s.works, "nothing runs"),
+    (frozenset({"verdict"}), lambda s: not s.has_verdict, "nothing was calibrated in this step yet"),
+    (frozenset({"fit"}), lambda s: s.works, "it runs already: x cancels"),
+    (
+        frozenset({"fit"}),
+        lambda s: not s.plane_step and s.views < LEAST_VIEWS,
+        f"it takes at least {LEAST_VIEWS} views, eight are better",
+    ),
+    (
+        frozenset({"fit"}),
+        lambda s: s.plane_step and not s.has_camera,
+        "calibrate the camera first: m goes there",
+    ),
+    (frozenset({"fit"}), lambda s: s.plane_step and not s.used, "there is no sweep to use"),
+)
+
+
+def why_not(action: str, situation: Situation) -> str:
+    """Why ``action`` cannot be done now; empty if it can."""
+    return next((words for actions, hinders, words in _RULES if action in actions and hinders(situation)), "")

@@ -1,0 +1,347 @@
+"""The calibrate screen: board views and sweeps collected under guidance, and what came of them with its reasons."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Horizontal
+from textual.message import Message
+
+from acquire.contract.errors import CalibrationError
+from acquire.contract.states import State
+from tui.calibration_rules import POSES, Situation, why_not
+from tui.calibration_session import BoardWords, CalibrationSession, parse_board
+from tui.calibration_words import Verdict, verdict_of
+from tui.jobs import Job
+from tui.messages import CommandAnswered
+from tui.scans import ScanEntry, ScanFolder
+from tui.screens.base import RigScreenBase
+from tui.screens.dialogs import Field, Form
+from tui.view import RigView
+from tui.widgets.board_picture import BoardPicture
+from tui.widgets.calibrate_panes import GuidePane, GuideView
+from tui.widgets.job_lines import JobLines
+from tui.widgets.rows import RowList
+from tui.words import is_running
+
+PREVIEW_HZ = 5.0
+WATCH = "board"
+"""Subject of the child that looks for the board."""
+LOOK_S = 2.0
+
+
+@dataclass
+class BoardSeen(Message):
+    """News of the child that looks for the board."""
+
+    facts: dict[str, Any]
+
+
+class CalibrateScreen(RigScreenBase):
+    """Camera first, then the light plane."""
+
+    NAME = "calibrate"
+    SUMMARY = (
+        "First the camera: pictures of a board in different tilts, one of them lying flat. Then the light plane: "
+        "sweeps over the board flat and tilted. Nothing replaces a calibration in use by itself."
+    )
+    WANTS_PICTURES = True
+    CHANGES = frozenset({"capture", "sweep", "pose", "object", "preview"})
+    BINDINGS = [
+        Binding("p", "preview", "preview", id="calibrate.preview", tooltip="camera pictures on or off"),
+        Binding("b", "board", "board", id="calibrate.board", tooltip="squares, their size, kind"),
+        Binding("c", "capture", "capture", id="calibrate.capture", tooltip="keep this view in full size"),
+        Binding("u", "undo", "drop last", id="calibrate.undo", tooltip="put the last view aside"),
+        Binding("g", "fit", "calibrate", id="calibrate.fit", tooltip="calibrate with what was collected"),
+        Binding("m", "step", "next step", id="calibrate.step", tooltip="camera, light plane"),
+        Binding("w", "sweep", "sweep", id="calibrate.sweep", tooltip="sweep over the board as it lies now"),
+        Binding("enter", "use", "use or not", id="calibrate.use", tooltip="whether a sweep counts"),
+        Binding("v", "verdict", "result", id="calibrate.verdict", tooltip="the last result, or the guidance"),
+        Binding("n", "anew", "begin anew", id="calibrate.anew", tooltip="an empty session; this one stays"),
+        Binding("x", "cancel", "cancel", id="calibrate.cancel", tooltip="end the calibration that runs"),
+        Binding("P", "pose", "next pose", id="calibrate.pose", tooltip="simulated rig: the board in another pose"),
+        Binding("O", "object", "take board off", id="calibrate.object", tooltip="simulated rig: the specimen back"),
+        Binding("up", "move(-1)", "previous", show=False),
+        Binding("down", "move(1)", "next", show=False),
+    ]
+    DEFAULT_CSS = """
+    CalibrateScreen #panes { height: 1fr; }
+    CalibrateScreen BoardPicture, CalibrateScreen #sweeps { width: 1fr; }
+    CalibrateScreen GuidePane { width: 38; }
+    CalibrateScreen.wide GuidePane { width: 60; }
+    """
+
+    def __init__(self, *, ascii_only: bool = False) -> None:
+        super().__init__(ascii_only=ascii_only)
+        self._picture = BoardPicture("mono" if ascii_only else "half", ascii_only=ascii_only)
+        self._sweeps = RowList(id="sweeps", ascii_only=ascii_only, empty="no calibration sweep yet: w takes one")
+        self._guide = GuidePane(ascii_only=ascii_only)
+        self._jobs = JobLines(ascii_only=ascii_only)
+        self._session: CalibrationSession | None = None
+        self._scans: ScanFolder | None = None
+        self._entries: list[ScanEntry] = []
+        self._left_out: set[str] = set()
+        self._facts: dict[str, Any] = {}
+        self._plane_step = False
+        self._verdicts: dict[bool, Verdict] = {}
+        self._show_verdict = False
+        self._watcher: Job | None = None
+        self._pose = 0
+
+    def body(self) -> ComposeResult:
+        """The picture or the sweeps, the guidance, what runs."""
+        yield Horizontal(self._picture, self._sweeps, self._guide, id="panes")
+        yield self._jobs
+
+    def on_mount(self) -> None:
+        """Go on with the newest session."""
+        data_dir = self.shell.options.data_dir
+        self._session, self._scans = CalibrationSession(data_dir), ScanFolder(data_dir)
+        self.set_interval(LOOK_S, self._look)
+
+    def on_screen_suspend(self) -> None:
+        """Nobody looks: nothing is looked for."""
+        self._stop_watching()
+
+    # ---- news ----
+
+    def show(self, view: RigView) -> None:
+        """Picture or sweeps, and the guidance."""
+        if self._session is None:
+            return
+        self._picture.display, self._sweeps.display = not self._plane_step, self._plane_step
+        self._show_picture(view)
+        self._show_sweeps()
+        self._guide.border_title = "2 of 2: light plane" if self._plane_step else "1 of 2: camera"
+        self._guide.show(self._guide_view(view))
+        self._jobs.show([job for job in self.shell.jobs.running if job.subject != WATCH])
+        self._watch_or_not(view)
+
+    def _show_picture(self, view: RigView) -> None:
+        if not view.connected:
+            self._picture.show(None, "not connected - retrying")
+        elif view.picture is None:
+            self._picture.show(None, "no picture yet: p turns the preview on")
+        elif self.shell.meter.may_send_picture():
+            self._picture.show(view.picture, "", self.shell.meter.governor.detail)
+        live = self._facts.get("live") or {}
+        self._picture.mark(live.get("corners") or () if view.connected else ())
+
+    def _show_sweeps(self) -> None:
+        chosen = {str(entry.folder) for entry in self._used}
+        used, not_used = ("x", " ") if self.ascii_only else ("✓", "·")
+        rows = [
+            Text(f"{used if str(e.folder) in chosen else not_used}  {e.folder.name}  {e.outcome_words}")
+            for e in self._entries
+        ]
+        self._sweeps.border_title = "sweeps over the board"
+        self._sweeps.show(Text("use  sweep"), rows, [str(entry.folder) for entry in self._entries])
+
+    def _guide_view(self, view: RigView) -> GuideView:
+        assert self._session is not None
+        verdict = self._verdicts.get(self._plane_step) if self._show_verdict else None
+        board = self._session.board.words()
+        if self._plane_step:
+            goal = "Sweep over the board flat, then tilted both ways: at least two poses. Limit: 1 um between them."
+            hint = f"{len(self._used)} sweeps are used; g calibrates the plane with them"
+            return GuideView(goal, board, hint=hint, verdict=verdict)
+        goal = "Show the board flat and tilted to all sides, in all corners. Limit: 0.3 px."
+        live = str((self._facts.get("live") or {}).get("words") or "")
+        waiting = "" if self._facts or not self._wanted(view) else "looking for the board ..."
+        return GuideView(goal, board, live=live or waiting, facts=self._facts, verdict=verdict)
+
+    def _look(self) -> None:
+        """The sweeps of the folder, now and then."""
+        if self.is_current and self._plane_step and self._scans is not None:
+            self.run_worker(self._look_at(self._scans), exclusive=True, exit_on_error=False)
+
+    async def _look_at(self, scans: ScanFolder) -> None:
+        try:
+            found = await asyncio.to_thread(scans.look)
+        except CalibrationError:
+            return
+        self._entries = [entry for entry in found if entry.purpose == "calibration"]
+        self.show_all(self.view)
+
+    @property
+    def _used(self) -> list[ScanEntry]:
+        return [e for e in self._entries if str(e.folder) not in self._left_out and e.state == "sealed" and e.committed]
+
+    # ---- looking for the board ----
+
+    def _wanted(self, view: RigView) -> bool:
+        return view.connected and self.is_current and not self._plane_step and not is_running(view.status)
+
+    def _watch_or_not(self, view: RigView) -> None:
+        if self._watcher is not None:
+            still = self.shell.jobs.board.running_on(WATCH)
+            self._watcher = still
+        if self._wanted(view) and self._watcher is None:
+            assert self._session is not None
+            board = self._session.board
+            views = ["--views", str(self._session.folder)]
+            command = ["calibrate", "watch", *board.arguments, "--kind", board.kind, *views, "--json"]
+            self._watcher = self.shell.jobs.start(
+                "look for the board", command, WATCH, on_result=lambda facts: self.post_message(BoardSeen(facts)),
+                quiet=True,
+            )  # fmt: skip
+        elif not self._wanted(view):
+            self._stop_watching()
+
+    def _stop_watching(self) -> None:
+        if self._watcher is not None:
+            self.shell.jobs.cancel(self._watcher)
+            self._watcher = None
+
+    def on_board_seen(self, message: BoardSeen) -> None:
+        """What the child found."""
+        live = message.facts.get("live") or self._facts.get("live")
+        self._facts = {**message.facts, "live": live}
+        self.show_all(self.view)
+
+    # ---- what can be done ----
+
+    def why_not(self, action: str) -> str:
+        """The step and the rig's state decide."""
+        if self._session is None:
+            return "the screen is being made"
+        status = self.view.status
+        situation = Situation(
+            plane_step=self._plane_step,
+            sweep_runs=is_running(status),
+            simulated=status is not None and status.camera_kind == "simulated",
+            views=len(self._session.views),
+            sweeps=len(self._entries),
+            used=len(self._used),
+            has_camera=self._session.result.is_file(),
+            has_verdict=self._plane_step in self._verdicts,
+            works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
+        )
+        return why_not(action, situation)
+
+    def action_preview(self) -> None:
+        """Pictures on or off."""
+        status = self.view.status
+        on = not (status is not None and (status.activity == "preview" or status.state == State.PREVIEW))
+        self.send("preview", on=on, rate_hz=PREVIEW_HZ)
+
+    def action_board(self) -> None:
+        """Ask what the board is."""
+        assert self._session is not None
+        board = self._session.board
+        fields = [
+            Field("squares", "squares", f"{board.columns}x{board.rows}", help="along both sides, or dots: 16x13"),
+            Field("square_mm", "size in mm", f"{board.square_mm:g}", help="side of a square, or distance of two dots"),
+            Field("kind", "kind", board.kind, help="chessboard, charuco or dots"),
+        ]
+        self.shell.push_screen(Form("the board", fields, parse_board), self._keep_board)
+
+    def _keep_board(self, board: BoardWords | None) -> None:
+        if board is None or self._session is None:
+            return
+        try:
+            self._session.keep_board(board)
+        except CalibrationError as error:
+            self.say(str(error), "error")
+        self._look_anew()
+
+    def _look_anew(self) -> None:
+        """The child begins again with what is asked for now."""
+        self._facts = {}
+        self._stop_watching()
+        self.show_all(self.view)
+
+    def action_capture(self) -> None:
+        """Keep this view."""
+        assert self._session is not None
+        path = self._session.next_view()
+
+        def answered(answer: CommandAnswered) -> None:
+            self.say(f"{path.name}: " + ("captured" if answer.ok else answer.detail), "info" if answer.ok else "error")
+
+        self._show_verdict = False
+        self.send("capture", answered, path=str(path.absolute()))
+
+    def action_undo(self) -> None:
+        """Put the last view aside."""
+        assert self._session is not None
+        try:
+            self.say(f"{self._session.drop_last_view()} was put aside")
+        except CalibrationError as error:
+            self.say(str(error), "error")
+
+    def action_anew(self) -> None:
+        """An empty session."""
+        assert self._session is not None
+        self._session.begin_anew()
+        self._verdicts, self._show_verdict = {}, False
+        self.say(f"a new calibration: {self._session.folder}; the one before stays")
+        self._look_anew()
+
+    def action_step(self) -> None:
+        """Camera, light plane."""
+        self._plane_step = not self._plane_step
+        self._show_verdict = self._plane_step in self._verdicts
+        self.show_all(self.view)
+        self._look()
+
+    def action_verdict(self) -> None:
+        """The result or the guidance."""
+        self._show_verdict = not self._show_verdict
+        self.show_all(self.view)
+
+    def action_move(self, rows: int) -> None:
+        """Choose another sweep."""
+        self._sweeps.move(rows)
+
+    def action_use(self) -> None:
+        """Whether the chosen sweep counts."""
+        self._left_out ^= {str(self._sweeps.chosen)}
+        self.show_all(self.view)
+
+    def action_sweep(self) -> None:
+        """Sweep over the board as it lies."""
+        draft = self.shell.draft
+        self.send("scan", name=f"board-{len(self._entries) + 1}", **draft.plan_args(), purpose="calibration")
+
+    def action_pose(self) -> None:
+        """The simulated board in the next pose."""
+        pose = POSES[self._pose % len(POSES)]
+        self._pose += 1
+        self.send("specimen", object="checkerboard", **pose)
+
+    def action_object(self) -> None:
+        """The specimen back under the simulated camera."""
+        self._pose = 0
+        self.send("specimen", object="stirrup", tilt_x_deg=0.0, tilt_y_deg=0.0, moved_um=[0.0, 0.0, 0.0])
+
+    def action_cancel(self) -> None:
+        """End the calibration."""
+        assert self._session is not None
+        job = self.shell.jobs.board.running_on(str(self._session.folder))
+        if job is not None:
+            self.shell.jobs.cancel(job)
+
+    def action_fit(self) -> None:
+        """Calibrate with what was collected."""
+        assert self._session is not None
+        session, plane = self._session, self._plane_step
+        before = session.document_before().get("camera") or {}
+
+        def ended(job: Job) -> None:
+            if not job.cancelled:
+                self._verdicts[plane] = verdict_of(job, before, plane=plane)
+                self._show_verdict = True
+                self.say(self._verdicts[plane].headline, "info" if self._verdicts[plane].passed else "error")
+            self.show_all(self.view)
+
+        stage = str(self._facts.get("stage_view") or "")
+        scans = [entry.folder for entry in self._used]
+        command = session.plane_command(scans) if plane else session.camera_command(stage)
+        title = "calibrate the light plane" if plane else "calibrate the camera"
+        self.shell.jobs.start(title, command, str(session.folder), ended)
