@@ -40,7 +40,7 @@ class Situation:
 
 _Rule = tuple[frozenset[str], Callable[[Situation], bool], str]
 _RULES: tuple[_Rule, ...] = (
-    (frozenset({"capture", "sweep", "pose", "object", "preview"}), lambda s: s.sweep_runs, "a sweep runs"),
+    (frozenset({"capture", "sweep", "pose", "object", "preview", "expose"}), lambda s: s.sweep_runs, "a sweep runs"),
     (frozenset({"pose", "object"}), lambda s: not s.simulated, "only the simulated rig: lay the board by hand"),
     (frozenset({"capture", "undo"}), lambda s: s.plane_step, "views belong to the first step: m goes there"),
     (frozenset({"sweep", "use"}), lambda s: not s.plane_step, "sweeps belong to the second step: m goes there"),
@@ -52,7 +52,7 @@ _RULES: tuple[_Rule, ...] = (
     (
         frozenset({"fit"}),
         lambda s: not s.plane_step and s.views < LEAST_VIEWS,
-        f"it takes at least {LEAST_VIEWS} views, eight are better",
+        "it takes at least three views, eight are better",
     ),
     (
         frozenset({"fit"}),

@@ -77,7 +77,7 @@ class CalibrationSession:
         return folders[-1] if folders else None
 
     def _fresh(self) -> Path:
-        return self._root / datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        return self._root / datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
 
     def begin_anew(self) -> None:
         """An empty folder with the same board; the one before stays."""
@@ -133,6 +133,11 @@ class CalibrationSession:
     def result(self) -> Path:
         """Where calibration.json of this session goes."""
         return self.folder / RESULT_NAME
+
+    def watch_command(self) -> list[str]:
+        """Arguments that look for the board in the preview, and judge the views."""
+        options = ["--kind", self.board.kind, "--views", str(self.folder), "--json"]
+        return ["calibrate", "watch", *self.board.arguments, *options]
 
     def camera_command(self, stage_view: str) -> list[str]:
         """Arguments that calibrate the camera with all views; ``stage_view`` (or empty) makes z = 0."""

@@ -33,7 +33,7 @@ def verdict_of(job: Job, before: dict[str, Any], *, plane: bool) -> Verdict:
     verdict = plane_verdict(found) if plane else camera_verdict(found, before)
     out = str(job.result.get("out") or "")
     use = f"to use it: reconstruct.calibration = '{out}' in rig.toml" if plane else "next: m goes to the light plane"
-    return Verdict(verdict.passed, verdict.headline, (*verdict.lines, use))
+    return Verdict(verdict.passed, verdict.headline, (use, *verdict.lines))
 
 
 def camera_verdict(camera: dict[str, Any], before: dict[str, Any]) -> Verdict:
@@ -60,8 +60,8 @@ def plane_verdict(plane: dict[str, Any]) -> Verdict:
     surfaces = [surface for surface in quality.get("surfaces") or [] if isinstance(surface, dict)]
     reasons = [f"{s.get('name')}: {s.get('cause')}" for s in surfaces if not s.get("ok", True)]
     lines = [
-        f"{s.get('name')}  mean {_um(s.get('mean_um'))}  RMS {_um(s.get('rms_um'))}  trend {_um(s.get('slope_um'))}"
-        f"  {'ok' if s.get('ok', True) else 'FAILED'}"
+        f"{_short(str(s.get('name')))}  mean {_um(s.get('mean_um'))}  RMS {_um(s.get('rms_um'))}  "
+        f"trend {_um(s.get('slope_um'))}  {'ok' if s.get('ok', True) else 'FAILED'}"
         for s in surfaces
     ]
     lines += [f"note: {note}" for note in quality.get("notes") or []]
@@ -77,11 +77,17 @@ def _verdict(reasons: list[str], headline: str, lines: list[str]) -> Verdict:
 
 
 def _view_line(view: dict[str, Any], worst: float) -> str:
-    rms = _number(view.get("rms_px"))
+    rms, name = _number(view.get("rms_px")), str(view.get("name")).removesuffix(".png")
     if rms is None or not view.get("used"):
-        return f"{view.get('name')}  left out: {view.get('reason') or 'no reason'}"
+        return f"{name}  left out: {view.get('reason') or 'no reason'}"
     cells = max(1, round(BAR_CELLS * rms / worst)) if worst > 0 else 1
-    return f"{view.get('name')}  {rms:.4f} px  {'=' * cells}"
+    return f"{name}  {rms:.4f} px  {'=' * cells}"
+
+
+def _short(name: str) -> str:
+    """A scan folder's name without its time."""
+    stamp, _, rest = name.partition("Z-")
+    return rest if len(stamp) == 15 and rest else name
 
 
 def _compared(camera: dict[str, Any], before: dict[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,6 +34,8 @@ PREVIEW_HZ = 5.0
 WATCH = "board"
 """Subject of the child that looks for the board."""
 LOOK_S = 2.0
+AGAIN_S, CANCELLED_S = 5.0, 0.5
+"""A child that ended by itself, or was asked to, is not started again before."""
 
 
 @dataclass
@@ -51,7 +54,7 @@ class CalibrateScreen(RigScreenBase):
         "sweeps over the board flat and tilted. Nothing replaces a calibration in use by itself."
     )
     WANTS_PICTURES = True
-    CHANGES = frozenset({"capture", "sweep", "pose", "object", "preview"})
+    CHANGES = frozenset({"capture", "sweep", "pose", "object", "preview", "expose"})
     BINDINGS = [
         Binding("p", "preview", "preview", id="calibrate.preview", tooltip="camera pictures on or off"),
         Binding("b", "board", "board", id="calibrate.board", tooltip="squares, their size, kind"),
@@ -60,6 +63,7 @@ class CalibrateScreen(RigScreenBase):
         Binding("g", "fit", "calibrate", id="calibrate.fit", tooltip="calibrate with what was collected"),
         Binding("m", "step", "next step", id="calibrate.step", tooltip="camera, light plane"),
         Binding("w", "sweep", "sweep", id="calibrate.sweep", tooltip="sweep over the board as it lies now"),
+        Binding("e", "expose", "expose", id="calibrate.expose", tooltip="search the exposure; light over the board"),
         Binding("enter", "use", "use or not", id="calibrate.use", tooltip="whether a sweep counts"),
         Binding("v", "verdict", "result", id="calibrate.verdict", tooltip="the last result, or the guidance"),
         Binding("n", "anew", "begin anew", id="calibrate.anew", tooltip="an empty session; this one stays"),
@@ -91,6 +95,8 @@ class CalibrateScreen(RigScreenBase):
         self._verdicts: dict[bool, Verdict] = {}
         self._show_verdict = False
         self._watcher: Job | None = None
+        self._watch_again_s = 0.0
+        self._watch_words = ""
         self._pose = 0
 
     def body(self) -> ComposeResult:
@@ -148,12 +154,13 @@ class CalibrateScreen(RigScreenBase):
         board = self._session.board.words()
         if self._plane_step:
             goal = "Sweep over the board flat, then tilted both ways: at least two poses. Limit: 1 um between them."
-            hint = f"{len(self._used)} sweeps are used; g calibrates the plane with them"
+            count = len(self._used)
+            hint = f"{count} sweep{'' if count == 1 else 's'} used. Not saturated: e sets the exposure, light on board"
             return GuideView(goal, board, hint=hint, verdict=verdict)
         goal = "Show the board flat and tilted to all sides, in all corners. Limit: 0.3 px."
         live = str((self._facts.get("live") or {}).get("words") or "")
-        waiting = "" if self._facts or not self._wanted(view) else "looking for the board ..."
-        return GuideView(goal, board, live=live or waiting, facts=self._facts, verdict=verdict)
+        waiting = self._watch_words or ("" if self._facts or not self._wanted(view) else "looking for the board ...")
+        return GuideView(goal, board, live=self._watch_words or live or waiting, facts=self._facts, verdict=verdict)
 
     def _look(self) -> None:
         """The sweeps of the folder, now and then."""
@@ -175,28 +182,35 @@ class CalibrateScreen(RigScreenBase):
     # ---- looking for the board ----
 
     def _wanted(self, view: RigView) -> bool:
-        return view.connected and self.is_current and not self._plane_step and not is_running(view.status)
+        looks = self.is_current and not self._plane_step
+        return looks and view.connected and view.status is not None and not is_running(view.status)
 
     def _watch_or_not(self, view: RigView) -> None:
-        if self._watcher is not None:
-            still = self.shell.jobs.board.running_on(WATCH)
-            self._watcher = still
-        if self._wanted(view) and self._watcher is None:
-            assert self._session is not None
-            board = self._session.board
-            views = ["--views", str(self._session.folder)]
-            command = ["calibrate", "watch", *board.arguments, "--kind", board.kind, *views, "--json"]
-            self._watcher = self.shell.jobs.start(
-                "look for the board", command, WATCH, on_result=lambda facts: self.post_message(BoardSeen(facts)),
-                quiet=True,
-            )  # fmt: skip
-        elif not self._wanted(view):
+        if not self._wanted(view):
             self._stop_watching()
+        elif self._watcher is None and time.monotonic() >= self._watch_again_s:
+            assert self._session is not None
+            self._watch_words = ""
+            self._watcher = self.shell.jobs.start(
+                "look for the board",
+                self._session.watch_command(),
+                WATCH,
+                self._watch_ended,
+                on_result=lambda facts: self.post_message(BoardSeen(facts)),
+                quiet=True,
+            )
+
+    def _watch_ended(self, job: Job) -> None:
+        """The child is gone: asked to, or by itself; then it is started again after a while, and its words are seen."""
+        if self._watcher is not None and self._watcher.number == job.number:
+            self._watcher = None
+        if not job.cancelled:
+            self._watch_again_s, self._watch_words = time.monotonic() + AGAIN_S, job.words
 
     def _stop_watching(self) -> None:
         if self._watcher is not None:
             self.shell.jobs.cancel(self._watcher)
-            self._watcher = None
+            self._watcher, self._watch_again_s = None, time.monotonic() + CANCELLED_S
 
     def on_board_seen(self, message: BoardSeen) -> None:
         """What the child found."""
@@ -308,6 +322,10 @@ class CalibrateScreen(RigScreenBase):
         """Sweep over the board as it lies."""
         draft = self.shell.draft
         self.send("scan", name=f"board-{len(self._entries) + 1}", **draft.plan_args(), purpose="calibration")
+
+    def action_expose(self) -> None:
+        """Search the exposure once, with the light over the board: saturated pixels tell nothing."""
+        self.send("expose")
 
     def action_pose(self) -> None:
         """The simulated board in the next pose."""
