@@ -349,6 +349,7 @@ class CalibrateScreen(RigScreenBase):
         """Calibrate with what was collected."""
         assert self._session is not None
         session, plane = self._session, self._plane_step
+        self._show_verdict = False
         before = session.document_before().get("camera") or {}
 
         def ended(job: Job) -> None:
