@@ -9,12 +9,12 @@ from typing import Any
 import h5py
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyParseError
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.scan_reader import ScanLayout, read_layout
 from process.cloud import LEFT_OUT
 from process.outputs import ResultPaths
+from process.ply import read_vertices
 from process.report import Report, read_report
 from process.results import DATASETS, read_source
 
@@ -61,7 +61,7 @@ def read_results(scan: Path, folder: Path | None = None) -> ScanResults:
             maps = {name: file[name][()] for name in DATASETS}
     except (OSError, KeyError, ValueError) as error:
         raise ScanFileError(f"{paths.maps} is not a readable maps.h5: {str(error)[:120]}; {MAKE_THEM}") from None
-    cloud = _cloud(paths.cloud) if report.counts["points"] else None
+    cloud = read_vertices(paths.cloud, instead=MAKE_THEM) if report.counts["points"] else None
     kept = np.isfinite(maps["crossing"]) & ((maps["quality"] & LEFT_OUT) == 0)
     if cloud is None or int(kept.sum()) != len(cloud):
         kept = _those_of(cloud, maps, kept)
@@ -83,10 +83,3 @@ def _those_of(cloud: NDArray[Any] | None, maps: dict[str, NDArray[Any]], kept: N
         return none
     none[kept] = used
     return none
-
-
-def _cloud(path: Path) -> NDArray[Any]:
-    try:
-        return np.asarray(PlyData.read(str(path))["vertex"].data)
-    except (OSError, PlyParseError, KeyError, ValueError) as error:
-        raise ScanFileError(f"{path} is not a readable cloud: {str(error)[:120]}; {MAKE_THEM}") from None

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyParseError
 
 from acquire.contract.errors import ScanFileError
+from process.ply import read_vertices
 
 from .tiles import Tile
 
@@ -89,10 +89,7 @@ def open_scan(entry: Entry) -> Opened:
         ScanFileError: there is none, or it is not one of ours.
     """
     path = entry.folder / CLOUD_NAME
-    try:
-        vertices = PlyData.read(str(path))["vertex"].data
-    except (OSError, PlyParseError, KeyError, ValueError) as error:
-        raise ScanFileError(f"cannot open {path}: {str(error)[:120]}; 'sweepscope reconstruct' makes it anew") from None
+    vertices = read_vertices(path, instead="'sweepscope reconstruct' makes it anew")
     missing = [name for name in FIELDS if name not in (vertices.dtype.names or ())]
     if missing:
         raise ScanFileError(f"{path} has no {', '.join(missing)}: it is not one of our clouds")

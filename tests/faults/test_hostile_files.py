@@ -189,3 +189,106 @@ def test_a_folder_with_a_picture_cut_short_is_refused_by_its_name(tmp_path):
         with pytest.raises(SweepscopeError, match="2.png"):
             import_folder(frames, tmp_path / "scan.h5")
         assert not (tmp_path / "scan.h5").exists()
+
+
+def _bent(source: random.Random, whole: bytes) -> bytes:
+    """Cut short, bits flipped, a piece doubled or left out, or something else altogether."""
+    at, length = source.randrange(len(whole)), source.randrange(1, 40)
+    match source.randrange(5):
+        case 0:
+            return whole[:at]
+        case 1:
+            return bytes(byte ^ (1 << source.randrange(8)) if source.random() < 0.01 else byte for byte in whole)
+        case 2:
+            return whole[:at] + whole[at : at + length] * 2 + whole[at + length :]
+        case 3:
+            return whole[:at] + whole[at + length :]
+        case _:
+            return source.randbytes(len(whole))
+
+
+_BEND = """
+import random, sys
+from pathlib import Path
+from tests.faults.test_hostile_files import import_or_refuse
+frames, source = Path(sys.argv[1]), random.Random(int(sys.argv[2]))
+outcomes = [import_or_refuse(frames, source) for _ in range(int(sys.argv[3]))]
+print(outcomes.count("refused"), outcomes.count("imported"))
+"""
+
+
+def import_or_refuse(frames: Path, source: random.Random) -> str:
+    """Bend one picture of a folder, import it, and put the picture back as it was."""
+    from acquire.importing import read_picture
+
+    picture = source.choice(sorted(frames.iterdir()))
+    whole, target = picture.read_bytes(), frames.parent / "scan.h5"
+    picture.write_bytes(_bent(source, whole))
+    try:
+        import_folder(frames, target)
+    except SweepscopeError as error:
+        assert "\n" not in str(error) and not target.exists()
+        return "refused"
+    else:
+        # what was taken for a picture is in the scan as it was read, and the scan is sound
+        assert verify(target).complete
+        pictures = sorted(frames.iterdir())
+        with ScanReader(target) as reader:
+            assert np.array_equal(reader.frame(pictures.index(picture)), read_picture(picture))
+        target.unlink()
+        return "imported"
+    finally:
+        picture.write_bytes(whole)
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "jpg", "tif"])
+def test_a_folder_with_a_bent_picture_is_refused_in_one_line_or_imported_as_it_is_read(suffix, tmp_path):
+    """In a process of its own, because the decoders are C."""
+    import subprocess
+    import sys
+
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    shades = np.random.default_rng(1).integers(0, 255, (20, 30), dtype=np.uint8)
+    for k in range(3):
+        cv2.imwrite(str(frames / f"{k}.{suffix}"), shades // (k + 1))
+    done = subprocess.run(
+        [sys.executable, "-c", _BEND, str(frames), "7", "25"], capture_output=True, text=True, timeout=100,
+        check=False, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    refused, _imported = map(int, done.stdout.split())
+    assert refused > 5
+
+
+PLY_HEADERS = (
+    "ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n",
+    "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999999999999999\nproperty float x\nend_header\n",
+    "ply\nformat ascii 1.0\nelement vertex 2\nproperty list uchar int x\nend_header\n1 1\n",
+    "ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty list uint float x\nend_header\n\xff\xff\xff\xff",
+    "ply\nformat binary_little_endian 1.0\nelement vertex -1\nproperty float x\nend_header\n",
+    "ply\nend_header\n",
+    "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float x\nend_header\n1 1\n",
+)
+
+
+def test_a_bent_cloud_is_opened_as_it_is_or_refused_in_one_line(tmp_path):
+    from plyfile import PlyData, PlyElement
+
+    from process.cloud import VERTEX
+    from process.ply import read_vertices
+    from process.viewer.library import Entry, open_scan
+
+    path, source = tmp_path / "cloud.ply", random.Random(5)
+    PlyData([PlyElement.describe(np.zeros(50, VERTEX), "vertex")], byte_order="<").write(str(path))
+    whole, refused = path.read_bytes(), 0
+    bent = [*(header.encode("latin-1") for header in PLY_HEADERS), *(_bent(source, whole) for _ in range(300))]
+    for raw in bent:
+        path.write_bytes(raw)
+        for opened in (lambda: read_vertices(path, instead=""), lambda: open_scan(Entry(tmp_path, "x", "", None))):
+            try:
+                opened()
+            except SweepscopeError as error:
+                refused += 1
+                assert "\n" not in str(error)
+    assert refused > 100
