@@ -199,7 +199,7 @@ def disk_broken(rig: Rig) -> None:
         rig.flag.unlink()
         complete(rig, client, scan)
         client.request("acknowledge")
-        gone = rig.begin(client, name="gone")
+        gone = rig.begin(client, name="gone", steps_per_frame=3)
         rig.moment(client)
         (Path(gone["path"]) / "scan.partial.h5").unlink()
         rig.until_status(client, lambda s: any("file was deleted" in f.happened for f in s.faults), "F07 names it")
