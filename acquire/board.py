@@ -49,6 +49,13 @@ class Board:
         self.faults = [fault for fault in self.faults if not fault.acknowledged]
         self.message = ""
 
+    def shows(self, fault: FaultReport) -> bool:
+        """The same fault stands there and nobody has seen it yet."""
+        return any(
+            (other.code, other.happened, other.acknowledged) == (fault.code, fault.happened, False)
+            for other in self.faults
+        )
+
     def add_fault(self, fault: FaultReport, now_ns: int) -> None:
         """Show a fault; the same fault again replaces its older report."""
         kept = [other for other in self.faults if other.code != fault.code or other.happened != fault.happened]

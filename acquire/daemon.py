@@ -140,7 +140,9 @@ class Daemon:
 
     def fault(self, fault: FaultReport) -> None:
         """Show a fault until the operator has seen it."""
-        logger.error(in_one_line(fault))
+        if not self.board.shows(fault):
+            # a disk that fails says so for each frame that waits
+            logger.error(in_one_line(fault))
         self.board.add_fault(fault, self.clock.now_ns())
         self.board.message = in_one_line(fault)
         self._changed = True

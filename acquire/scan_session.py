@@ -15,6 +15,7 @@ from acquire.contract.messages import Ack, AckItem, End, EndAck, Image, Message,
 from acquire.contract.places import FileLock
 from acquire.contract.states import Outcome
 
+from .complaints import log_now_and_then
 from .disk import DiskError, disk_error, file_system_of
 from .disk_thread import DiskThread
 from .recover import NOTHING_IN_IT
@@ -149,7 +150,8 @@ class ScanSession:
 
     def _refuse(self, image: Image, reason: Refusal, detail: str) -> None:
         self.counters["refused"] += 1
-        logger.warning("frame %d refused (%s): %s", image.frame_index, reason, detail)
+        text = f"frame {image.frame_index} refused ({reason}): {detail}"
+        log_now_and_then(logger, self.counters["refused"], text)
         self.flush()
         self._send(
             Nack(
