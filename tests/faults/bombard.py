@@ -2,41 +2,45 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 from tests.fakes.bombs import hit
 
-from .harness import a_rig, assert_promise
+from .harness import START_S, a_rig, assert_promise
 
-BATCH = 2000
+SERVICES = ("daemon", "writer", "worker")
+BATCH = 500
+"""Bombs to each socket before the daemon is asked whether it still lives."""
 ALLOWED_GROWTH_BYTES = 100_000_000
 
 
 def bombard(count: int, seed: int) -> str:
-    """Send ``count`` bombs to the daemon's sockets, then take a scan; one line for the table.
+    """Send ``count`` bombs, spread over every socket that listens, then take a scan; one line for the table.
 
     Raises:
         AssertionError: a service died, its memory grew, or the scan was not complete.
     """
     with a_rig(seed, at=0.5) as rig:
-        rig.start("daemon", "writer")
+        rig.start(*SERVICES)
         with rig.client() as client:
+            rig.until((rig.run_dir / "results.sock").exists, "the worker is up", START_S)
             scan = rig.begin(client)
             rig.finished(client, scan["scan_uid"])
-            before = rig.rss("daemon")
-            sent = {"command": 0, "frames": 0}
-            for batch in range(0, count, BATCH):
-                for lane, number in hit(rig.run_dir, count=min(BATCH, count - batch), seed=seed + batch).items():
-                    if lane in sent:
-                        sent[lane] += number
+            before = {service: rig.rss(service) for service in SERVICES}
+            sent: Counter[str] = Counter()
+            while sent.total() < count:
+                sent.update(hit(rig.run_dir, count=BATCH, seed=seed + sent.total()))
                 assert client.request("status").ok
-            grown = rig.rss("daemon") - before
-            assert grown < ALLOWED_GROWTH_BYTES, f"the daemon grew by {grown} bytes"
+            assert all(process.poll() is None for process in rig.processes.values()), "a service died"
+            grown = {service: rig.rss(service) - before[service] for service in SERVICES}
+            assert max(grown.values()) < ALLOWED_GROWTH_BYTES, f"memory grew: {grown}"
             scan = rig.begin(client)
             status = rig.finished(client, scan["scan_uid"])
             assert_promise(Path(scan["path"]), rig, "complete")
+    lanes = ", ".join(f"{number} to the {lane} socket" for lane, number in sorted(sent.items()) if number)
+    memory = ", ".join(f"{service} {size / 1e6:+.0f} MB" for service, size in grown.items())
     return (
-        f"{sent['command']} hostile messages to the command socket and {sent['frames']} to the frames socket: "
-        f"no crash, {status.counters['malformed']} counted on the frames lane, the daemon's memory changed by "
-        f"{grown / 1e6:+.0f} MB, the scan afterwards complete and exact."
+        f"{sent.total()} hostile messages ({lanes}): no crash, {status.counters['malformed']} counted on the frames "
+        f"lane; memory: {memory}; the scan afterwards complete and exact."
     )

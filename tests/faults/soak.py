@@ -74,12 +74,16 @@ def soak(minutes: float, seed: int) -> int:
     """Run; prints counts and memory. 0 if everything held and nothing grew."""
     end, counts, source = time.monotonic() + 60 * minutes, Counter[str](), random.Random(seed)
     first: dict[str, int] = {}
+    course: list[dict[str, int]] = []
+    began = time.monotonic()
     with a_rig(seed, at=0.4) as rig:
         rig.set(LIMITS__WINDOW_BYTES=WINDOW_BYTES)
         rig.start(*SERVICES)
         with rig.client() as client:
             while time.monotonic() < end:
                 counts[_sweep(rig, client, source)] += 1
+                if time.monotonic() - began > 6 * minutes * (len(course) + 1):
+                    course.append({service: rig.rss(service) for service in SERVICES})
                 if sum(counts.values()) == WARM_UP_SWEEPS:
                     first = {service: rig.rss(service) for service in SERVICES}
             last = {service: rig.rss(service) for service in SERVICES}
@@ -90,6 +94,8 @@ def soak(minutes: float, seed: int) -> int:
     for service in SERVICES:
         before, after = first.get(service, last[service]), last[service]
         grew |= after - before > GROWTH_BYTES
+        tenths = ", ".join(f"{sizes[service] / 1e6:.0f}" for sizes in course)
+        print(f"{service} at each tenth of the time: {tenths} MB")
         print(f"{service}: {before / 1e6:.0f} MB after {WARM_UP_SWEEPS} sweeps, {after / 1e6:.0f} MB at the end")
     return int(grew)
 
