@@ -25,7 +25,9 @@ PROGRESS_NS = 100 * NS_PER_MS
 HEARTBEAT_NS = 1000 * NS_PER_MS
 PREVIEW_LEAST_NS = 250 * NS_PER_MS
 REST = 3
-"""Previews rest for so many times what the last one cost: at most a quarter of the time goes into them."""
+"""Previews rest for so many times what the last one cost: at most a quarter of the time goes into them ..."""
+REST_BEHIND, BEHIND_FRAMES = 15, 32
+"""... and a sixteenth where the fold is so many frames behind: it comes first."""
 _SUBSCRIBED, _UNSUBSCRIBED = b"\x01", b"\x00"
 
 
@@ -109,7 +111,8 @@ class Outbox:
             self._maps_ns = start_ns + live_maps.PERIOD_NS
             self._say_maps(live_maps.sampled(session, preview.maps))
         end_ns = time.monotonic_ns()
-        self._preview_ns = end_ns + max(PREVIEW_LEAST_NS, REST * (end_ns - start_ns))
+        rest = REST_BEHIND if session.lag_frames > BEHIND_FRAMES else REST
+        self._preview_ns = end_ns + max(PREVIEW_LEAST_NS, rest * (end_ns - start_ns))
 
     def say_final(self, session: ScanSession, preview: Preview) -> None:
         """The exact points, all of them, none provisional."""

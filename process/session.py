@@ -135,7 +135,7 @@ class ScanSession:
     @property
     def behind(self) -> bool:
         """Frames were taken that are not folded, and they will not come on the live lane."""
-        return not self.cursor.done and (self.ended or self._lag() > 0)
+        return not self.cursor.done and (self.ended or self.lag_frames > 0)
 
     @property
     def wants_file(self) -> bool:
@@ -208,11 +208,13 @@ class ScanSession:
             from_live=counts.from_live,
             from_file=counts.from_file,
             refolded=counts.refolded,
-            lag_frames=self._lag(),
+            lag_frames=self.lag_frames,
             message=self._words(),
         )
 
-    def _lag(self) -> int:
+    @property
+    def lag_frames(self) -> int:
+        """Frames that were taken, as far as the live lane tells, and are not folded yet."""
         return max(self.newest_live + 1 - self.cursor.next_index, 0)
 
     def _words(self) -> str:
