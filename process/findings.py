@@ -78,8 +78,11 @@ def age_warning(settings: Settings, used: CalibrationUsed | None) -> list[str]:
     ]
 
 
-def quality_warnings(counts: dict[str, int], noise: NoiseFound | None) -> list[str]:
-    """Sentences on what many pixels of a scan have in common; counts as in ``Maps.counts``."""
+def quality_warnings(counts: dict[str, int], noise: NoiseFound | None, *, shadow: bool = False) -> list[str]:
+    """Sentences on what many pixels of a scan have in common; counts as in ``Maps.counts``.
+
+    shadow: the edge of a shadow is swept through a lit room (falling edge), nothing has to be dark.
+    """
     crossings = max(counts["crossings"], 1)
     told = (
         ("saturated", SATURATED_SHARE, "are saturated, their plateau is not known: less exposure or gain"),
@@ -100,7 +103,7 @@ def quality_warnings(counts: dict[str, int], noise: NoiseFound | None) -> list[s
     words = [
         f"{counts[name]} pixels ({100 * counts[name] / crossings:.1f} % of the crossings) {what}"
         for name, share, what in told
-        if counts.get(name, 0) > share * crossings
+        if counts.get(name, 0) > share * crossings and not (shadow and name == "no_dark_level")
     ]
     if noise is not None and not noise.measured and counts["crossings"]:
         words.append(f"too few pixels to measure the noise: sigma rests on noise_counts, {noise.read:.2g} counts")

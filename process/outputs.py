@@ -163,7 +163,7 @@ def write_results(
                 *damage(frames.damaged),
                 *no_cloud(settings, cloud is not None, paths.cloud),
                 *age_warning(settings, calibration),
-                *quality_warnings(maps.counts, noise),
+                *quality_warnings(maps.counts, noise, shadow=settings.edge == "falling"),
                 *light_warnings(other, maps.counts),
             ],
             settings=_settings(settings),

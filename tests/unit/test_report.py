@@ -176,6 +176,10 @@ def test_what_many_pixels_have_in_common_is_said_in_words(name, word):
     assert said.startswith("123 pixels (12.3 % of the crossings)") and word in said
 
 
+def test_a_shadow_needs_no_dark():
+    assert quality_warnings(FOUND | {"no_dark_level": 500}, None, shadow=True) == []
+
+
 def test_noise_that_was_not_measured_is_said():
     (said,) = quality_warnings(FOUND, NoiseFound(2.0, 0.0, measured=False))
     assert "noise_counts, 2 counts" in said
