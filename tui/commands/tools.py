@@ -85,16 +85,17 @@ def stage(frames: int, as_json: bool) -> None:
 @click.option(
     "--pixels", type=click.IntRange(16, 1_000_000), default=16_000, show_default=True, help="Per kind of edge."
 )
+@click.option("--clipped", is_flag=True, help="Edges whose plateau lies beyond full scale instead.")
 @click.option("--speed", is_flag=True, help="Time the whole-edge fit of a 1024 x 768 x 527 scan instead.")
 @json_option
-def estimates(pixels: int, speed: bool, as_json: bool) -> None:
+def estimates(pixels: int, speed: bool, clipped: bool, as_json: bool) -> None:
     """Compare the crossing estimates with the Cramer-Rao bound; prints the table of docs/accuracy.md."""
-    from process.estimates.bench import bench_estimates, bench_fit_speed, markdown
+    from process.estimates.bench import bench_clipped, bench_estimates, bench_fit_speed, markdown
 
     if speed:
         _show(bench_fit_speed(), as_json)
         return
-    cases = list(bench_estimates(pixels))
+    cases = list(bench_clipped(pixels) if clipped else bench_estimates(pixels))
     if as_json:
         print_json([case._asdict() for case in cases])
         return
