@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from process.crossings import Maps
 from process.estimates.block_kernels import (
+    ASKED,
     COLUMNS,
     FAR,
     FITTED,
@@ -30,7 +31,9 @@ AT_ONCE = 256
 FOLLOWED_AT_ONCE = 4096
 """Pixels whose light is followed in one go, likewise."""
 FIRST_AGE = 16
-"""Frames after a crossing when its pixel is first examined; again at every doubling."""
+"""Frames after a crossing when its pixel is first examined."""
+LATER = 4
+"""Frames that are waited for beyond those that an edge asked for: with more of it, it may ask for more."""
 STALE = 16
 """Frames that may follow before the light of a pixel is followed on."""
 TABLE_BYTES = 96_000_000
@@ -157,7 +160,11 @@ class EarlyEstimates:
         there = start < frames
         pixels, start, extent = pixels[there], start[there], extent[there]
         found = examine_pixels(sequence, weighing, pixels, start, extent, local=self._local, early=True)
-        self._due[pixels] = np.minimum(2 * frames - start, np.iinfo(np.int32).max)
+        # once as many frames are there as it asked for; where there was no edge to be seen, at twice its age
+        asked = np.minimum(found.columns[:, ASKED], frames)
+        asked = np.maximum(stretch_of(start, frames)[0] + asked.astype(np.int64), frames) + LATER
+        due = np.where(np.isfinite(found.columns[:, ASKED]), asked, 2 * frames - start)
+        self._due[pixels] = np.minimum(due, np.iinfo(np.int32).max)
         good = np.flatnonzero((found.outcome == FITTED) | (found.outcome == LOCAL))[: len(self._start) - self.kept]
         rows = np.arange(self.kept, self.kept + len(good))
         self._entry[pixels[good]] = rows
