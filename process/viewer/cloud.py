@@ -117,20 +117,22 @@ class Cloud:
     # ---- what changes ----
 
     def take(self, news: TileNews) -> None:
-        """Note tiles that changed."""
+        """Note tiles that changed; a snapshot that only repeats what is known changes nothing."""
         if not news.reset and not news.tiles:
             return
-        gone: set[int] = set()
-        if news.reset:
-            gone = set(self._tiles) - set(news.tiles)
-            self._tiles.clear()
-        self._tiles.update(news.tiles)
+        gone = set(self._tiles) - set(news.tiles) if news.reset else set()
+        for number in gone:
+            del self._tiles[number]
+        changed = {number for number, tile in news.tiles.items() if not tile.same_as(self._tiles.get(number))}
+        self._tiles.update({number: news.tiles[number] for number in changed})
+        if not gone and not changed:
+            return
         self._choose_origin()
         needed = power_of_two(max(self._tiles, default=0) + 1, MAX_NODES)
         if needed > self.tiles_per_node:
             self._regroup(needed)
         else:
-            self._touch({tile // self.tiles_per_node for tile in gone | set(news.tiles)})
+            self._touch({tile // self.tiles_per_node for tile in gone | changed})
         self._choose_size()
         self._values = None
 

@@ -67,6 +67,21 @@ class Tile:
         """Number of points."""
         return len(self.xyz)
 
+    def same_as(self, other: Tile | None) -> bool:
+        """True if nothing that is shown differs."""
+        if other is None or (self.origin_mm, self.count) != (other.origin_mm, other.count):
+            return False
+        return all(
+            np.array_equal(mine, theirs)
+            for mine, theirs in (
+                (self.xyz, other.xyz),
+                (self.rgb, other.rgb),
+                (self.provisional, other.provisional),
+                (self.crossing, other.crossing),
+                (self.sigma_um, other.sigma_um),
+            )
+        )
+
     def points_mm(self) -> NDArray[np.float64]:
         """Shape [n, 3], mm about zero."""
         return self.xyz.astype(np.float64) + np.asarray(self.origin_mm)

@@ -90,6 +90,14 @@ def test_only_the_tile_that_changed_is_sent_and_under_the_same_number() -> None:
     assert len(browser.all_points()) == 12
 
 
+def test_a_snapshot_that_repeats_what_is_known_sends_nothing() -> None:
+    rig = Rig()
+    rig.show(t1=tile(5), t2=tile(5))
+    seen = len(rig.browsers[0].log)
+    rig.show(reset=True, t1=tile(5), t2=tile(6))
+    assert rig.browsers[0].log[seen:] == [("put", 2)]
+
+
 def test_tenths_of_a_micron_survive_the_way_to_the_browser() -> None:
     rig = Rig()
     rig.show(t0=tile(3, (250.0, -3.0, 7.0)), t9=tile(3, (262.0, 5.0, 9.0)))
@@ -167,8 +175,9 @@ def test_a_browser_that_falls_behind_gets_overviews_of_what_changed(monkeypatch:
     lagging, fast = Browser(rate_bytes_per_s=20_000), Browser()
     rig = Rig(lagging, fast)
     sent = [0, 0]
-    for _ in range(5):
-        rig.cloud.take(TileNews(tiles={number: tile(4000) for number in range(8)}))
+    for turn in range(5):
+        moved = tile(4000, (0.0, 0.0, float(turn)))
+        rig.cloud.take(TileNews(tiles=dict.fromkeys(range(8), moved)))
         sent = [total + step for total, step in zip(sent, rig.step(), strict=True)]
     assert sent[1] == 5 * 8 * 4000 * 15
     assert sent[0] < sent[1] / 20
