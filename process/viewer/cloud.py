@@ -36,6 +36,8 @@ NEAR_MM = 100.0
 DEFAULT_POINT_MM = 0.02
 RANGE_NS = 2 * NS_PER_S
 """Least time between two changes of an automatic range: each recolours everything."""
+SMALL_NS = 4 * NS_PER_S
+"""So long a change that nobody would see may wait: behind the light a few points of each tile still move a little."""
 CACHE_BYTES = 48_000_000
 """Prepared nodes kept for other browsers."""
 
@@ -57,6 +59,8 @@ class Cloud:
         self._look = look or Look()
         self._tiles: dict[int, Tile] = {}
         self._geometry = 0
+        self._now_ns = 0
+        self._small: dict[int, int] = {}
         self._range_ns = -RANGE_NS
         self._values: NDArray[np.float32] | None = None
         self._cache: OrderedDict[tuple[int, int], tuple[int, int, Tile, Prepared]] = OrderedDict()
@@ -124,7 +128,11 @@ class Cloud:
         for number in gone:
             del self._tiles[number]
         changed = {number for number, tile in news.tiles.items() if not tile.same_as(self._tiles.get(number))}
+        small = set() if news.reset else {n for n in changed if news.tiles[n].differs_little(self._tiles.get(n))}
         self._tiles.update({number: news.tiles[number] for number in changed})
+        for number in small:
+            self._small.setdefault(number // self.tiles_per_node, self._now_ns)
+        changed -= small
         if not gone and not changed:
             return
         self._choose_origin()
@@ -149,7 +157,9 @@ class Cloud:
             self.paint += 1
 
     def settle(self, now_ns: int) -> None:
-        """Bring range and fitted plane up to date; they change seldom, because everything is recoloured then."""
+        """Show small changes that waited, and bring range and plane up to date: seldom, as everything is recoloured."""
+        self._now_ns = now_ns
+        self._touch({node for node, since_ns in self._small.items() if now_ns - since_ns >= SMALL_NS})
         if self._look.mode == "photograph" or self._values is not None or now_ns - self._range_ns < RANGE_NS:
             return
         self._range_ns = now_ns
@@ -209,6 +219,7 @@ class Cloud:
 
     def _touch(self, nodes: set[int]) -> None:
         for node in sorted(nodes):
+            self._small.pop(node, None)
             count = sum(tile.count for tile in self._members(node))
             if count:
                 self._geometry += 1
@@ -222,6 +233,7 @@ class Cloud:
         self.tiles_per_node = tiles_per_node
         self.marks.clear()
         self.counts.clear()
+        self._small.clear()
         self._touch({tile // tiles_per_node for tile in self._tiles})
 
     def _choose_origin(self) -> None:

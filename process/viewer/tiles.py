@@ -16,6 +16,10 @@ from acquire.contract.points import POINT
 
 GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: multiples of it fill [0, 1) evenly and never fall in step with image rows."""
+SMALL_SHARE = 0.03
+SMALL_FLIPS = 0.15
+SMALL_MOVE = 0.25
+"""In units of the distance of neighbours."""
 BOUNDS_SAMPLE = 512
 BOUNDS_QUANTILES = (0.02, 0.98)
 """A few stray points must not move the camera away from the object."""
@@ -81,6 +85,16 @@ class Tile:
                 (self.sigma_um, other.sigma_um),
             )
         )
+
+    def differs_little(self, other: Tile | None) -> bool:
+        """True if so few points came, went, moved or settled that the difference is hardly seen."""
+        if other is None or abs(self.count - other.count) > SMALL_SHARE * other.count:
+            return False
+        if self.count != other.count:
+            return True  # which ones came is not known; but they are few
+        shift = (np.asarray(self.origin_mm) - np.asarray(other.origin_mm)).astype(np.float32)
+        moved = np.abs(self.xyz - other.xyz + shift).max(axis=1) > SMALL_MOVE * (self.spacing_mm or 0.0)
+        return bool((moved | (self.provisional != other.provisional)).mean() <= SMALL_FLIPS)
 
     def points_mm(self) -> NDArray[np.float64]:
         """Shape [n, 3], mm about zero."""

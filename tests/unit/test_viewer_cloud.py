@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from process.viewer import cloud as cloud_module
-from process.viewer.cloud import MAX_NODES, Cloud
+from process.viewer.cloud import MAX_NODES, SMALL_NS, Cloud
 from process.viewer.courier import LEAST_STEP_BYTES, STEP_NS, Courier
 from process.viewer.feed import TileNews
 from process.viewer.look import Look
@@ -96,6 +96,21 @@ def test_a_snapshot_that_repeats_what_is_known_sends_nothing() -> None:
     seen = len(rig.browsers[0].log)
     rig.show(reset=True, t1=tile(5), t2=tile(6))
     assert rig.browsers[0].log[seen:] == [("put", 2)]
+
+
+def test_a_change_that_nobody_would_see_waits_and_is_shown_in_the_end() -> None:
+    rig = Rig()
+    rig.show(t1=tile(1000))
+    seen = len(rig.browsers[0].log)
+    moved = replace(tile(1000), crossing=np.ones(1000, np.float32))
+    moved.xyz[7] += 1.0
+    rig.cloud.take(TileNews(tiles={1: moved}))
+    assert rig.step() == [0]
+    rig.now_ns += SMALL_NS
+    assert rig.step() == [1000 * 15]
+    assert len(rig.browsers[0].log) == seen + 1
+    rig.show(reset=True, t1=tile(1000))
+    assert len(rig.browsers[0].log) == seen + 2, "a snapshot is shown at once"
 
 
 def test_tenths_of_a_micron_survive_the_way_to_the_browser() -> None:
