@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -15,6 +14,8 @@ import pytest
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import FakeDaemon
+from tests.fakes.launch import bench_at
+from tests.unit.rig_in_process import RigInProcess
 
 
 class Terminal:
@@ -72,25 +73,40 @@ def terminal(tmux: str, tmp_path: Path, run_dir: Path) -> Iterator[Terminal]:
 CONSOLE = (sys.executable, "-m", "tui.cli", "console")
 
 
-def test_a_sweep_is_started_paused_resumed_and_stopped_from_a_real_terminal(terminal, run_dir):
-    with FakeDaemon(run_dir, frames_per_tick=1, expected=100_000) as daemon:
+def test_a_whole_session_in_a_real_terminal_from_the_preview_to_the_stop(terminal, run_dir, tmp_path):
+    settings = {
+        "simulation.time_scale": 1.0,
+        "sweep.max_rate_hz": 10.0,
+        "sweep.steps_per_frame": 3,
+        "limits.writer_start_s": 20.0,
+    }
+    with RigInProcess(run_dir, tmp_path / "scans", settings), bench_at(run_dir, tmp_path) as bench:
+        bench.writer(STORAGE__DATA_DIR=tmp_path / "scans")
         terminal.open(*CONSOLE)
         terminal.wait_for("IDLE", "s start")
+        terminal.press("v")
+        terminal.wait_for("PREVIEW", " px  ")
+        for where, key, shown in (("120", "f", "first    120"), ("480", "l", "last     480")):
+            terminal.press("t")
+            terminal.wait_for("go to", "Escape leaves")
+            terminal.press(where, "Enter")
+            terminal.wait_for(f"  {where} microsteps")
+            terminal.press(key)
+            terminal.wait_for(shown)
+        terminal.wait_for("121 frames")
         terminal.press("s")
         terminal.wait_for("start a sweep")
-        terminal.press("Enter")
-        terminal.wait_for("SWEEPING", "frames/s", "remaining")
+        terminal.press("ear", "Enter")
+        terminal.wait_for("SWEEPING", "frames/s", "remaining", deadline_s=40.0)
         terminal.press("p")
         terminal.wait_for("HOLDING (paused)")
         terminal.press("r")
         terminal.wait_for("SWEEPING", "p pause")
         terminal.press("Space")
-        terminal.wait_for("stopped: ", "frames are safe", "stopped at")
+        terminal.wait_for("stopped: ", "of 121 frames are safe", "stopped at")
         terminal.press("q")
         terminal.wait_for("STATUS=0")
-        sent = [name for name, _ in daemon.commands if name != "estimate"]
-        # on a slow machine an unanswered command is sent once more with the same id, which a real daemon does once
-        assert [name for name, _ in itertools.groupby(sent)] == ["scan", "pause", "resume", "stop"]
+    assert [path.name.partition("-")[2] for path in (tmp_path / "scans").iterdir()] == ["ear"]
 
 
 def test_the_console_starts_without_a_daemon_and_reconnects_by_itself(terminal, run_dir):
