@@ -172,7 +172,8 @@ def write_results(
             noise=noise,
             calibration=calibration,
         )
-    report = msgspec.structs.replace(report, timings_s={k: round(v, 6) for k, v in timings.seconds.items()})
+    clock_s, processor_s = timings.rounded()
+    report = msgspec.structs.replace(report, timings_s=clock_s, processor_s=processor_s)
     write_report(paths.report, report)
     return Results(paths, cloud, report)
 

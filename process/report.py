@@ -70,6 +70,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     counts: dict[str, int]
     timings_s: dict[str, float]
+    """By the clock, per stage."""
+    processor_s: dict[str, float] = {}
+    """Processor time of all threads, per stage; empty in reports of earlier versions."""
     speed: Speed
     outcome: str
     digest: str

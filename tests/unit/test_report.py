@@ -28,6 +28,7 @@ from process.report import (
     write_report,
 )
 from process.settings import ReconstructOptions, Recorded, Settings, settle
+from process.timings import Timings
 from tests.fakes.sweep_source import calibration_json
 
 PLAN = SweepPlan(0, 30, 3, 3.175)
@@ -127,6 +128,24 @@ def report() -> Report:
         settings={"contrast": 70},
         versions={},
     )
+
+
+def test_a_report_of_an_earlier_version_can_be_read(tmp_path):
+    write_report(tmp_path / "report.json", report())
+    fields = json.loads((tmp_path / "report.json").read_text())
+    for later in ("noise", "calibration", "processor_s"):
+        del fields[later]
+    (tmp_path / "report.json").write_text(json.dumps(fields))
+    assert read_report(tmp_path / "report.json") == report()
+
+
+def test_the_stages_of_a_reconstruction_are_timed_by_clock_and_processor():
+    timings = Timings()
+    for _ in range(2):
+        with timings.stage("fold"):
+            sum(range(1000))
+    clock, processor = timings.rounded()
+    assert set(clock) == set(processor) == {"fold"} and clock["fold"] > 0 and processor["fold"] >= 0
 
 
 def test_a_report_reads_back_as_it_was_written(tmp_path):
