@@ -124,6 +124,25 @@ class ReconstructConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """Standard deviation of a pixel's noise in counts of 8 bit, for sigma, until a noise model is measured."""
 
 
+class CheckConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What ``calibrate check`` lets pass."""
+
+    flatness_um: Annotated[float, Meta(gt=0, le=100_000)] = 10.0
+    """Flatness error: range of the distances from the best plane, 3 of 1000 points left out, in um."""
+    offset_um: Annotated[float, Meta(gt=0, le=100_000)] = 5.0
+    """Mean distance of the points from the board's own pose, in um."""
+    scale_percent: Annotated[float, Meta(gt=0, le=100)] = 0.1
+    """Distances in the cloud against the board's squares, in percent."""
+    repeatability_um: Annotated[float, Meta(gt=0, le=100_000)] = 2.0
+    """Shift between two sweeps over the same thing, and standard deviation of a point, in um."""
+    probing_form_um: Annotated[float, Meta(gt=0, le=100_000)] = 10.0
+    """Probing error (form) on a sphere: range of the radial distances, 3 of 1000 points left out, in um."""
+    probing_size_um: Annotated[float, Meta(gt=0, le=100_000)] = 5.0
+    """Probing error (size): measured minus known diameter of a sphere, in um."""
+    sphere_spacing_um: Annotated[float, Meta(gt=0, le=100_000)] = 5.0
+    """Measured minus known distance of two spheres, in um."""
+
+
 class LimitsConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Bounds on memory and on waiting."""
 
@@ -184,6 +203,7 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     camera: CameraConfig = CameraConfig()
     sweep: SweepConfig = SweepConfig()
     reconstruct: ReconstructConfig = ReconstructConfig()
+    check: CheckConfig = CheckConfig()
     limits: LimitsConfig = LimitsConfig()
     lamp: LampConfig = LampConfig()
     viewer: ViewerConfig = ViewerConfig()

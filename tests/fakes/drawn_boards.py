@@ -71,6 +71,26 @@ class Pinhole:
 
 
 PINHOLE = Pinhole()
+Height = Callable[[np.ndarray], np.ndarray]
+"""mm above the board's plane, of board coordinates [.., 2]."""
+
+
+def bulge(bend_mm: float) -> Height:
+    """A parabola: so much higher in the middle than a millimetre from it."""
+    return lambda at: bend_mm * (1 - (at**2).sum(axis=-1))
+
+
+def caps(spheres: list[tuple[float, float, float]], above_mm: float) -> Height:
+    """Spheres (x, y, radius) whose tops are ``above_mm`` over the plane; the plane elsewhere."""
+
+    def height(at: np.ndarray) -> np.ndarray:
+        found = np.zeros(at.shape[:-1])
+        for x, y, radius in spheres:
+            inside = np.maximum(radius**2 - (at[..., 0] - x) ** 2 - (at[..., 1] - y) ** 2, 0)
+            found = np.maximum(found, np.sqrt(inside) - radius + above_mm)
+        return found
+
+    return height
 
 
 def turned(tilt_x_deg: float, tilt_y_deg: float, yaw_deg: float = 3.0) -> np.ndarray:
@@ -79,18 +99,14 @@ def turned(tilt_x_deg: float, tilt_y_deg: float, yaw_deg: float = 3.0) -> np.nda
 
 
 def where(
-    rotation: np.ndarray, shift: np.ndarray, camera: Pinhole = PINHOLE, fine: int = 1, bend_mm: float = 0.0
+    rotation: np.ndarray, shift: np.ndarray, camera: Pinhole = PINHOLE, fine: int = 1, height: Height | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Board coordinates [.., 2] and camera coordinates [.., 3] of what each pixel sees.
-
-    ``bend_mm`` is how far the middle of the board bulges out over a millimetre, as a parabola.
-    """
+    """Board coordinates [.., 2] and camera coordinates [.., 3] of what each pixel sees; ``height`` of the surface."""
     directions = camera.rays(fine)
     normal = rotation[:, 2]
     seen = directions * (normal @ shift / (directions @ normal))[..., None]
-    for _ in range(3 if bend_mm else 0):
-        at = (seen - shift) @ rotation
-        lift = bend_mm * (1 - at[..., 0] ** 2 - at[..., 1] ** 2)
+    for _ in range(12 if height else 0):
+        lift = height(((seen - shift) @ rotation)[..., :2])
         seen = directions * ((normal @ shift + lift) / (directions @ normal))[..., None]
     return ((seen - shift) @ rotation)[..., :2], seen
 
@@ -178,17 +194,17 @@ def sweep(
     light: Light = Light(),  # noqa: B008 - frozen
     camera: Pinhole = PINHOLE,
     frames: int = 90,
-    bend_mm: float = 0.0,
+    height: Height | None = None,
     noise: float = 1.0,
     gamma: float = 1.0,
     seed: int = 1,
 ) -> Path:
     """A sealed scan of a sweep over a board; positions in um are 10 x the frame index."""
     model = camera.model()
-    seen = where(rotation, shift, camera, 1, bend_mm)[1]
+    seen = where(rotation, shift, camera, 1, height)[1]
     world = (seen - np.array(model.T)) @ np.array(model.R)
     crossing = world @ np.array(light.a) + light.b
-    soft = _soft(albedo(where(rotation, shift, camera, FINE, bend_mm)[0]), camera, 0.9)
+    soft = _soft(albedo(where(rotation, shift, camera, FINE, height)[0]), camera, 0.9)
     plan = SweepPlan(first_steps=0, last_steps=10 * (frames - 1), steps_per_frame=10, um_per_microstep=1.0)
     form = FrameFormat(*camera.size, 8, "mono")
     recipe = ScanRecipe("b" * 32, form, frames, plan=plan, start_time_utc="2026-01-01T00:00:00Z")

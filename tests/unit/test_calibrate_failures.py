@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from acquire.contract.errors import CalibrationError
 from process.calibration.boards import Board
 from process.calibration.documents import new_document, write_document
-from tests.fakes.drawn_boards import PINHOLE, Light, Pinhole, charuco, chessboard, photograph, sweep, turned
+from tests.fakes.drawn_boards import PINHOLE, Light, Pinhole, bulge, charuco, chessboard, photograph, sweep, turned
 from tui.cli import cli
 
 BOARD = Board(13, 10, 0.3)
@@ -116,7 +116,7 @@ def test_sweeps_over_surfaces_in_one_plane_are_refused(good, tmp_path):
 
 
 def test_a_surface_that_is_not_flat_fails_with_the_bend(good, tmp_path):
-    bent = sweep(tmp_path / "bent", chessboard(BOARD), turned(-9, 4), AT, bend_mm=0.02)
+    bent = sweep(tmp_path / "bent", chessboard(BOARD), turned(-9, 4), AT, height=bulge(0.02))
     scans = [str(good / "flat"), str(good / "tilted"), str(bent)]
     with pytest.raises(CalibrationError, match="nothing was written: bent: .*bent by .* the surface is not flat"):
         calibrate(tmp_path, "plane", *scans, *camera_file(tmp_path))

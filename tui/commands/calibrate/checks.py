@@ -11,30 +11,41 @@ import click
 
 from acquire.contract.errors import CalibrationError
 from tui.commands.calibrate.options import PATH, board_of, force_option, size_option
-from tui.commands.context import json_option, print_json
+from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
-    from process.calibration.check import CheckResult
+    from acquire.contract.calibration import Calibration, TranslatingPlane
+    from acquire.contract.config_model import CheckConfig
+    from process.calibration.check import CheckResult, Repeatability
+    from process.calibration.spheres import Sphere
+    from process.calibration.sweeps import FoldedSweep
 
 
 def _checked(
     scan: Path, calibration_file: Path, squares: tuple[int, int] | None, square_mm: float | None
 ) -> CheckResult:
     """A sweep over the board, or over a flat where no board is described, against a calibration."""
-    from acquire.contract.calibration import TranslatingPlane, load_calibration
     from process.calibration.check import check_surface
     from process.calibration.surfaces import board_surface, flat_surface
+
+    sweep, found, plane = _folded(scan, calibration_file)
+    if squares is None or square_mm is None:
+        return check_surface(flat_surface(sweep), found.camera, plane)
+    return check_surface(board_surface(sweep, board_of(squares, square_mm), found.camera), found.camera, plane)
+
+
+def _folded(scan: Path, calibration_file: Path) -> tuple[FoldedSweep, Calibration, TranslatingPlane]:
+    """A sweep, folded as a calibration's light plane was, and both."""
+    from acquire.contract.calibration import TranslatingPlane, check_size, load_calibration
     from process.calibration.sweeps import fold_sweep
 
     found = load_calibration(calibration_file)[0]
-    plane_model = found.light_plane
-    if not isinstance(plane_model, TranslatingPlane):
+    plane = found.light_plane
+    if not isinstance(plane, TranslatingPlane):
         raise CalibrationError(f"{calibration_file} has no light plane that translates: nothing to check")
-    sweep = fold_sweep(scan, method=plane_model.method, edge=plane_model.edge)
-    if squares is None or square_mm is None:
-        return check_surface(flat_surface(sweep), found.camera, plane_model)
-    surface = board_surface(sweep, board_of(squares, square_mm, "chessboard"), found.camera)
-    return check_surface(surface, found.camera, plane_model)
+    sweep = fold_sweep(scan, method=plane.method, edge=plane.edge)
+    check_size(found, sweep.format.width, sweep.format.height)
+    return sweep, found, plane
 
 
 @click.command()
@@ -42,24 +53,82 @@ def _checked(
 @click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to check.")
 @click.option("--squares", metavar="CxR", callback=size_option, help="Squares of the board in SCAN; without: a flat.")
 @click.option("--square-mm", type=float, help="Side of a square in mm.")
-@click.option("--limit-um", type=float, default=5.0, show_default=True, help="Largest flatness error and offset.")
+@click.option("--again", type=PATH, help="A second sweep over the same thing: repeatability.")
+@click.option("--sphere-mm", type=float, multiple=True, help="SCAN shows a sphere of this diameter; once or twice.")
+@click.option("--spacing-mm", type=float, help="Known distance of two spheres.")
+@click.option("--limit-um", type=float, help="Limit of all figures in um, instead of rig.toml's [check].")
 @json_option
+@click.pass_obj
 def check(
+    session: Session,
     scan: Path,
     calibration_file: Path,
     squares: tuple[int, int] | None,
     square_mm: float | None,
-    limit_um: float,
+    again: Path | None,
+    sphere_mm: tuple[float, ...],
+    spacing_mm: float | None,
+    limit_um: float | None,
     as_json: bool,
 ) -> int:
-    """Check a calibration with a sweep over the board or a flat: planarity and offset."""
-    result = _checked(scan, calibration_file, squares, square_mm)
-    passed = result.passed(limit_um)
-    if as_json:
-        print_json({"passed": passed, "limit_um": limit_um, "result": result})
+    """Check a calibration with a sweep over the board, a flat, or one or two spheres.
+
+    Board and flat: flatness, and with the board offset and scale. Spheres: probing errors and sphere-spacing error
+    (VDI/VDE 2634 part 2). Passed or failed against [check] in rig.toml."""
+    from process.calibration.verdict import of_repeat, of_spheres, of_surface
+
+    limits = _limits(session, limit_um)
+    if sphere_mm:
+        sweep, found, plane = _folded(scan, calibration_file)
+        words, figures = _spheres(sweep, found, plane)
+        verdicts = of_spheres(figures, sphere_mm, spacing_mm, limits)
     else:
-        click.echo("\n".join([*result.words(), f"{'passed' if passed else 'FAILED'} (limit {limit_um:g} um)"]))
+        result = _checked(scan, calibration_file, squares, square_mm)
+        words, verdicts = result.words(), of_surface(result, limits)
+    if again is not None:
+        repeated = _repeated(scan, again, calibration_file)
+        words += repeated.words()
+        verdicts += of_repeat(repeated, limits)
+    passed = all(figure.ok for figure in verdicts)
+    if as_json:
+        print_json({"passed": passed, "figures": verdicts})
+    else:
+        lines = [*words, *(figure.words() for figure in verdicts), "passed" if passed else "FAILED"]
+        click.echo("\n".join(lines))
     return 0 if passed else 1
+
+
+def _limits(session: Session, limit_um: float | None) -> CheckConfig:
+    import msgspec
+
+    limits = session.config().rig.check
+    if limit_um is None:
+        return limits
+    names = [name for name in limits.__struct_fields__ if name.endswith("_um")]
+    return msgspec.structs.replace(limits, **dict.fromkeys(names, limit_um))
+
+
+def _spheres(sweep: FoldedSweep, found: Calibration, plane: TranslatingPlane) -> tuple[list[str], list[Sphere]]:
+    from process.calibration.check import cloud_of
+    from process.calibration.spheres import find_spheres
+
+    spheres = find_spheres(cloud_of(sweep, found.camera, plane))
+    words = [
+        f"sphere at ({s.centre[0]:.3f}, {s.centre[1]:.3f}, {s.centre[2]:.3f}) mm: diameter {s.diameter_mm:.4f} mm, "
+        f"{s.points} points, form {s.form_um:.2f} um, RMS {s.rms_um:.2f} um"
+        for s in spheres
+    ]
+    return words, spheres
+
+
+def _repeated(scan: Path, again: Path, calibration_file: Path) -> Repeatability:
+    from process.calibration.check import cloud_of, repeatability
+
+    clouds = []
+    for which in (scan, again):
+        sweep, found, plane = _folded(which, calibration_file)
+        clouds.append(cloud_of(sweep, found.camera, plane))
+    return repeatability(clouds[0], clouds[1])
 
 
 @click.command()
