@@ -25,6 +25,7 @@ from acquire.contract.outcome import frame_crc32
 from acquire.contract.plan import MAX_FRAMES
 from acquire.contract.states import Outcome
 
+from .original_folder import look_for_original
 from .scan_create import ScanRecipe, create_file
 from .scan_file import ScanExistsError, ScanFile
 
@@ -47,15 +48,26 @@ class ImportSummary(msgspec.Struct, frozen=True):
     last_frame: str
     digest: str
     """sha256 over the checksums of all frames."""
+    um_per_frame: float | None = None
+    """Travel from one frame to the next; None: positions are not known."""
+    note: str = ""
+    """What a person should know; empty where there is nothing."""
 
     def words(self) -> str:
         """One line for people."""
         shape = f"{self.format.width} x {self.format.height} {self.format.pixel_format}, {self.format.bit_depth} bit"
-        return f"{self.path}: {self.frames} frames of {shape}, from {self.first_frame} to {self.last_frame}"
+        line = f"{self.path}: {self.frames} frames of {shape}, from {self.first_frame} to {self.last_frame}"
+        return f"{line}; {self.note}" if self.note else line
 
 
 def import_folder(
-    frames_dir: Path, target: Path, *, force: bool = False, purpose: Purpose = "raw", name: str = ""
+    frames_dir: Path,
+    target: Path,
+    *,
+    force: bool = False,
+    purpose: Purpose = "raw",
+    name: str = "",
+    um_per_frame: float | None = None,
 ) -> ImportSummary:
     """Write the pictures of ``frames_dir``, in natural order of their names, as the sealed scan ``target``.
 
@@ -67,6 +79,8 @@ def import_folder(
         force: replace a target that is there.
         purpose: ``object`` and ``calibration`` scans need what ``raw`` ones do not.
         name: of the scan; the folder's by default.
+        um_per_frame: travel of the stage from one frame to the next in um; None: as a projector.txt of the original
+            program beside the pictures tells, else not known.
 
     Raises:
         ScanFileError: no pictures, one that cannot be read or differs from the first (named), or a target in the way.
@@ -75,6 +89,10 @@ def import_folder(
     pictures = list_pictures(frames_dir)
     _check_target(target, force=force)
     first = read_picture(pictures[0])
+    original = look_for_original(frames_dir) if um_per_frame is None else None
+    if original is not None:
+        um_per_frame = original.um_per_frame(len(pictures))
+    note = original.note(len(pictures)) if original is not None else ""
     recipe = ScanRecipe(
         scan_uid=uuid.uuid4().hex,
         format=format_of(first, pictures[0]),
@@ -82,7 +100,7 @@ def import_folder(
         user_json=json.dumps(
             {
                 "name": name or frames_dir.resolve().name,
-                "notes": f"imported from {frames_dir.resolve()}",
+                "notes": f"imported from {frames_dir.resolve()}" + (f"; {note}" if note else ""),
                 "purpose": purpose,
             }
         ),
@@ -90,7 +108,10 @@ def import_folder(
     )
     with _new_scan(target, recipe, force=force) as scan, closing(_decoded(pictures)) as frames:
         for frame_index, pixels in enumerate(frames):
-            scan.write_frame(_header(frame_index, pixels, recipe.format, pictures[frame_index], pictures[0]), pixels)
+            header = _header(frame_index, pixels, recipe.format, pictures[frame_index], pictures[0])
+            if um_per_frame is not None:
+                header = msgspec.structs.replace(header, position_um=frame_index * um_per_frame)
+            scan.write_frame(header, pixels)
         seal = scan.seal(Outcome.COMPLETE, "imported")
     return ImportSummary(
         path=str(seal.path),
@@ -99,6 +120,8 @@ def import_folder(
         first_frame=pictures[0].name,
         last_frame=pictures[-1].name,
         digest=seal.digest,
+        um_per_frame=um_per_frame,
+        note=note,
     )
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import cv2
+import h5py
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plyfile import PlyData
 
 from acquire.contract.calibration import load_calibration
 from acquire.contract.errors import CalibrationError
@@ -100,3 +103,35 @@ def test_a_projector_file_without_the_pattern_is_refused(tmp_path):
     (tmp_path / "projector.txt").write_text("Frame 1\t1 2\nFrame 527\t3 4\n")
     with pytest.raises(CalibrationError, match="lacks the calibration corners"):
         read_projector_txt(tmp_path / "projector.txt")
+
+
+def test_a_folder_of_the_original_program_becomes_the_points_that_it_would_have_made(files):
+    """Bitmaps, projector.txt and calibration.txt in; points against the original's own arithmetic."""
+    frames = files / "sequence01"
+    frames.mkdir()
+    (frames / "projector.txt").write_text((files / "projector.txt").read_text())
+    column = np.tile(np.arange(64.0), (48, 1))
+    crossing = 6 + 0.25 * column
+    for number in range(1, 31):
+        share = np.clip(number - crossing + 0.5, 0, 1)
+        cv2.imwrite(str(frames / f"frame{number:04d}.bmp"), np.rint(20 + 200 * share).astype(np.uint8))
+    calibration, scan = str(files / "c.json"), str(files / "scan.h5")
+    out = ["--size", "64x48", "--out", calibration]
+    projector = ["--projector", str(frames / "projector.txt")]
+    for arguments in (
+        ["import", str(frames), scan],
+        ["calibrate", "import-original", str(files / "calibration.txt"), *projector, *out],
+        ["reconstruct", scan, "--calibration", calibration, "--method", "linear", "--median", "0"],
+    ):
+        assert CliRunner().invoke(cli, arguments, standalone_mode=False).exception is None
+    plane = json.loads((files / "c.json").read_text())["light_plane"]
+    with h5py.File(files / "maps.h5") as maps:
+        found = maps["crossing"][...]
+    cloud = PlyData.read(files / "cloud.ply")["vertex"]
+    pixels = np.argwhere(np.isfinite(found))
+    assert len(pixels) == len(cloud) > 1000
+    for index in (0, len(pixels) // 2, len(pixels) - 1):
+        row, column_ = pixels[index]
+        q = np.array(plane["corner_origin_mm"]) + np.array(plane["corner_velocity_mm"]) * (found[row, column_] + 1)
+        wanted = original_point(np.array([column_, row], dtype=float), np.array(plane["normal"]), q)
+        assert [cloud[axis][index] for axis in "xyz"] == pytest.approx(wanted, abs=2e-5)

@@ -158,3 +158,35 @@ def test_a_target_in_a_folder_that_is_not_there_is_refused(frames: Path, tmp_pat
     save(frames, "0.png", grey())
     with pytest.raises(ScanFileError, match="does not exist"):
         import_folder(frames, tmp_path / "nowhere" / "scan.h5")
+
+
+def original_folder(frames: Path, pictures: int, last_frame: int) -> None:
+    for index in range(pictures):
+        save(frames, f"frame{index + 1:04d}.bmp", grey())
+    clicks = f"Frame 1 \t412 300\nFrame {last_frame} \t880 310\nCalibration Corners: \t1 2 \t 3 4 \t 5 6\n"
+    (frames / "projector.txt").write_text(clicks)
+
+
+def test_a_folder_of_the_original_program_has_positions(frames: Path, tmp_path: Path) -> None:
+    original_folder(frames, 5, 5)
+    summary = import_folder(frames, tmp_path / "scan.h5")
+    with ScanReader(tmp_path / "scan.h5") as reader:
+        assert reader.field("position_um") == pytest.approx(np.arange(5) * 9.525)
+    assert "3 microsteps of 3.175 um a frame" in summary.words()
+
+
+def test_where_pictures_of_the_original_program_are_missing_positions_are_not_known(
+    frames: Path, tmp_path: Path
+) -> None:
+    original_folder(frames, 4, 5)
+    summary = import_folder(frames, tmp_path / "scan.h5")
+    with ScanReader(tmp_path / "scan.h5") as reader:
+        assert np.isnan(reader.field("position_um")).all()
+    assert "speaks of 5 frames and there are 4: positions are not known" in summary.words()
+
+
+def test_the_travel_per_frame_can_be_given(frames: Path, tmp_path: Path) -> None:
+    original_folder(frames, 3, 3)
+    import_folder(frames, tmp_path / "scan.h5", um_per_frame=-2.5)
+    with ScanReader(tmp_path / "scan.h5") as reader:
+        assert reader.field("position_um") == pytest.approx([0.0, -2.5, -5.0])

@@ -22,14 +22,16 @@ _SCAN = click.argument("scan", type=click.Path(path_type=Path))
 @click.argument("frames_dir", type=click.Path(path_type=Path))
 @click.argument("target", metavar="SCAN.h5", type=click.Path(path_type=Path))
 @click.option("--force", is_flag=True, help="Replace an existing SCAN.h5.")
+@click.option("--um-per-frame", type=click.FloatRange(-1e6, 1e6), help="Travel of the stage per frame, where known.")
 @json_option
-def import_(frames_dir: Path, target: Path, force: bool, as_json: bool) -> None:
+def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | None, as_json: bool) -> None:
     """Make a scan file of a folder of pictures.
 
-    png, bmp, jpg and tif are taken in natural order of their names."""
+    png, bmp, jpg and tif are taken in natural order of their names. A projector.txt of the original program beside
+    them tells the travel per frame."""
     from acquire.importing import import_folder
 
-    summary = import_folder(frames_dir, target, force=force)
+    summary = import_folder(frames_dir, target, force=force, um_per_frame=um_per_frame)
     print_json(summary) if as_json else click.echo(summary.words())
 
 

@@ -1,4 +1,4 @@
-"""Subcommands of calibration: camera, light plane by three ways, checks, rezero, files of the original program."""
+"""Subcommands of calibration: camera, response, light plane by three ways, checks, files of the original program."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from .checks import check, rezero
 from .original import import_original
 from .plane import plane, reference_planes_command, refit
 from .quarter_circle import quarter_circle
+from .response import response
 from .watch import watch
 
 
@@ -17,7 +18,18 @@ def calibrate() -> None:
     """Calibrate camera and light plane, and check what they are worth."""
 
 
-for _command in (camera, plane, refit, quarter_circle, reference_planes_command, check, rezero, watch, import_original):
+for _command in (
+    camera,
+    response,
+    plane,
+    refit,
+    quarter_circle,
+    reference_planes_command,
+    check,
+    rezero,
+    watch,
+    import_original,
+):
     calibrate.add_command(_command)
 
 COMMANDS: tuple[click.Command, ...] = (calibrate,)

@@ -1,0 +1,98 @@
+"""The subcommand that finds out how the camera answers to light, from a series of exposures."""
+
+# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from acquire.contract.errors import CalibrationError
+from tui.commands.calibrate.camera import SUFFIXES
+from tui.commands.calibrate.options import PATH
+from tui.commands.context import Session, json_option, print_json
+
+TABLE = "exposures.csv"
+_IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)\s*ms", re.IGNORECASE)
+DEFAULT_SHARES = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
+"""Of the configured exposure, with --rig."""
+
+
+@click.command()
+@click.argument("folder", type=PATH, required=False)
+@click.option("--rig", "from_rig", is_flag=True, help="Take the series with the rig's camera (the daemon stopped).")
+@click.option("--exposures", metavar="MS,MS,...", help="With --rig: in ms [10 to 100 % of camera.exposure_ms].")
+@click.option("--width-um", type=float, default=38.1, show_default=True, help="Width of a light edge, um of travel.")
+@json_option
+@click.pass_obj
+def response(
+    session: Session, folder: Path | None, from_rig: bool, exposures: str | None, width_um: float, as_json: bool
+) -> int:
+    """Check that the camera is linear, with pictures of one scene at several exposures.
+
+    FOLDER holds them, with the exposure in each name ("white-12.5ms.png") or in exposures.csv (name,ms)."""
+    from process.calibration.response import find_response
+
+    if from_rig == (folder is not None):
+        raise click.UsageError("name a folder of pictures, or --rig")
+    series, bit_depth = _from_rig(session, exposures) if folder is None else _from_folder(folder)
+    found = find_response([entry[0] for entry in series], [entry[1] for entry in series], bit_depth)
+    if as_json:
+        print_json({"linear": found.linear, "response": found, "shift_um": found.shift_widths() * width_um})
+    else:
+        click.echo("\n".join(found.words(width_um)))
+    return 0 if found.linear else 1
+
+
+def _from_folder(folder: Path) -> tuple[list[tuple[float, Any]], int]:
+    import cv2
+    import numpy as np
+
+    table = _table(folder / TABLE)
+    try:
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+    except OSError as error:
+        raise CalibrationError(f"cannot read {folder}: {error.strerror}") from None
+    series = []
+    for path in files:
+        match = _IN_NAME.search(path.name)
+        exposure_ms = table.get(path.name, float(match.group(1).replace(",", ".")) if match else 0.0)
+        if exposure_ms <= 0:
+            raise CalibrationError(f"{path}: no exposure in its name (such as 12.5ms) nor in {TABLE}")
+        pixels = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+        if pixels is None:
+            raise CalibrationError(f"{path} is no picture that can be read: leave it out")
+        series.append((exposure_ms, pixels))
+    if not series:
+        raise CalibrationError(f"{folder} holds no pictures (png, bmp, jpg or tif)")
+    return series, 8 if series[0][1].dtype == np.uint8 else 16
+
+
+def _table(path: Path) -> dict[str, float]:
+    import csv
+
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            return {row[0].strip(): float(row[1]) for row in csv.reader(file) if row and not row[0].startswith("#")}
+    except (OSError, ValueError, IndexError) as error:
+        raise CalibrationError(f"{path} is no table of name,ms: {error}") from None
+
+
+def _from_rig(session: Session, exposures: str | None) -> tuple[list[tuple[float, Any]], int]:
+    from acquire.exposures import take_exposures
+    from acquire.rig import build_rig
+
+    config = session.config().rig
+    try:
+        wished = [float(part) for part in exposures.split(",")] if exposures else None
+    except ValueError:
+        raise click.BadParameter(f"exposures are numbers of ms with commas; they are {exposures!r}") from None
+    chosen = wished or [share * config.camera.exposure_ms for share in DEFAULT_SHARES]
+    taken = take_exposures(build_rig(config).camera, config, chosen)
+    depth = config.simulation.bit_depth if config.camera.kind == "simulated" else 8 * taken[0].pixels.dtype.itemsize
+    return [(one.exposure_ms, one.pixels) for one in taken], depth
