@@ -120,7 +120,7 @@ def prepare_scan(
     """
     found = check_scan(request, config, rig, frame_format, camera, zero_id)
     folder, lock = _make_folder(config.data_dir, request.name)
-    start = _start_message(request, config, found.plan, frame_format, found.calibration, folder)
+    start = _start_message(request, config, found.plan, frame_format, found.calibration, folder, zero_id)
     return PreparedScan(start, sweep_settings(config, start), found.slots, folder, lock, found.warnings)
 
 
@@ -178,7 +178,7 @@ def _calibration(
             return "", []
         calibration = parse_calibration(text, "the rig's own calibration")
     check_size(calibration, frame_format.width, frame_format.height)
-    warnings = check_validity(calibration, plan, zero_id)
+    warnings = check_validity(calibration, plan, zero_id, utc_now_iso())
     if calibration.light_plane is None and request.purpose == "object":
         raise CalibrationError(f"{named or 'the calibration'} has no light_plane: an object needs one, calibrate it")
     return text, warnings
@@ -228,6 +228,7 @@ def _start_message(
     frame_format: FrameFormat,
     calibration: str,
     folder: Path,
+    zero_id: str,
 ) -> Start:
     user = {
         "name": request.name,
@@ -247,7 +248,7 @@ def _start_message(
         user_json=json.dumps(user),
         start_time_utc=utc_now_iso(),
         epoch_utc_ns=epoch_utc_ns(),
-        versions_json=msgspec.json.encode({"sweepscope": version("sweepscope")}).decode(),
+        versions_json=msgspec.json.encode({"sweepscope": version("sweepscope"), "zero_id": zero_id}).decode(),
     )
 
 

@@ -11,6 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.contract.calibration import age_days, parse_calibration
+from acquire.contract.errors import CalibrationError
 from acquire.contract.layout import CHECK_ROLES, PARTIAL_NAME, PROGRAM_NAME, FrameStatus
 from acquire.contract.messages import FrameFormat
 from acquire.contract.notes import notes_of
@@ -111,6 +113,10 @@ class ScanInfo(msgspec.Struct, frozen=True):
     plan: dict[str, Any]
     """Empty for imported folders."""
     has_calibration: bool
+    zero_id: str
+    """Which homing its positions count from; empty where the rig did not say."""
+    calibration_age_days: float | None
+    """Of the recorded calibration when the scan began; None where either time is not known."""
     checks: list[str]
     """Which of the dark, ambient and repeated frames are there."""
     size_bytes: int
@@ -126,13 +132,16 @@ class ScanInfo(msgspec.Struct, frozen=True):
             f"{self.frames} frames of {shape}, along {self.axis}",
             f"begun {self.start_time_utc or 'at an unknown time'}, uid {self.scan_uid}",
             f"written by {PROGRAM_NAME} {self.program_version}",
-            f"calibration: {'in the file' if self.has_calibration else 'none in the file'}",
+            f"calibration: {'in the file' if self.has_calibration else 'none in the file'}{self._age()}",
             f"check frames: {', '.join(self.checks) or 'none'}",
         ]
         lines += [f"measured {name}: {value:g}" for name, value in self.measured.items()]
         lines += [f"{key}: {_plain(value)}" for key, value in self.user.items() if value]
         lines += [f"plan {key}: {value}" for key, value in self.plan.items()]
         return lines
+
+    def _age(self) -> str:
+        return "" if self.calibration_age_days is None else f", {self.calibration_age_days:.1f} days old at the time"
 
 
 def verify(scan: Path, progress: Callable[[int, int], None] = lambda _done, _total: None) -> VerifyReport:
@@ -215,6 +224,8 @@ def info(scan: Path) -> ScanInfo:
             user=_user(layout),
             plan={} if layout.plan is None else msgspec.to_builtins(layout.plan),
             has_calibration=bool(layout.verbatim["calibration"].strip()),
+            zero_id=layout.zero_id,
+            calibration_age_days=_calibration_age(layout),
             checks=[role for role in CHECK_ROLES if reader.check_frame(role) is not None],
             size_bytes=layout.path.stat().st_size,
             measured=reader.measured,
@@ -226,6 +237,14 @@ def _user(layout: ScanLayout) -> dict[str, Any]:
     if not edited.edited_utc:
         return layout.user
     return {**layout.user, **msgspec.to_builtins(edited)}
+
+
+def _calibration_age(layout: ScanLayout) -> float | None:
+    text = layout.verbatim["calibration"].decode("utf-8", "replace")
+    try:
+        return age_days(parse_calibration(text), layout.start_time) if text.strip() else None
+    except CalibrationError:
+        return None
 
 
 def in_words(ranges: Ranges) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError, SweepscopeError
 from acquire.contract.messages import FrameFormat, Start
+from acquire.contract.scan_reader import zero_id_in
 from acquire.contract.units import format_bytes
 
 from .estimates.early import EarlyEstimates
@@ -46,7 +47,9 @@ class Announced:
 
 def announced_by_start(start: Start) -> Announced:
     """The scan that a start message begins."""
-    recorded = Recorded(start.format, start.plan, start.config_toml, start.calibration_json)
+    recorded = Recorded(
+        start.format, start.plan, start.config_toml, start.calibration_json, zero_id_in(start.versions_json)
+    )
     return Announced(start.scan_uid, Path(start.path), start.plan.count, recorded)
 
 

@@ -90,7 +90,7 @@ def recorded_in(layout: ScanLayout) -> Recorded:
         config, calibration = (layout.verbatim[key].decode("utf-8") for key in ("config", "calibration"))
     except UnicodeDecodeError:
         raise ScanFileError(f"{layout.path}: the recorded configuration or calibration is damaged") from None
-    return Recorded(layout.format, layout.plan, config, calibration)
+    return Recorded(layout.format, layout.plan, config, calibration, layout.zero_id)
 
 
 def _folder(out: Path | None, scan_file: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -185,8 +186,24 @@ def check_size(calibration: Calibration, width: int, height: int) -> None:
         )
 
 
-def check_validity(calibration: Calibration, plan: SweepPlan | None, zero_id: str = "") -> list[str]:
+def age_days(calibration: Calibration, at_utc: str) -> float | None:
+    """Age in days at a time (ISO 8601); None where either is not known. Never negative."""
+    made = calibration.valid_for.created_utc if calibration.valid_for else None
+    try:
+        seconds = (datetime.fromisoformat(at_utc) - datetime.fromisoformat(made or "")).total_seconds()
+    except (ValueError, TypeError):
+        return None
+    return max(seconds / 86_400, 0.0)
+
+
+def check_validity(calibration: Calibration, plan: SweepPlan | None, zero_id: str = "", at_utc: str = "") -> list[str]:
     """Refuse a plane by frame numbers on another sweep; return warnings for what is only doubtful.
+
+    Args:
+        calibration: to be used.
+        plan: of the sweep; None for imported folders.
+        zero_id: which homing the sweep's positions count from; empty where that is not known.
+        at_utc: when the sweep is made (ISO 8601); empty: its age is not judged.
 
     Raises:
         CalibrationError: ``parameter = "frame"`` and another first position, pitch or direction than ``valid_for``.
@@ -204,5 +221,10 @@ def check_validity(calibration: Calibration, plan: SweepPlan | None, zero_id: st
         raise CalibrationError(f"the calibration counts frames of a sweep with {', '.join(different)}: use its plan")
     warnings = []
     if valid.zero_id and zero_id and valid.zero_id != zero_id:
-        warnings.append("the stage was homed since the calibration: the plane may be shifted, rezero it")
+        warnings.append(
+            "the stage was homed since the calibration: the plane may be shifted, rezero it with calibrate rezero"
+        )
+    age = age_days(calibration, at_utc)
+    if age is not None and valid.days is not None and age > valid.days:
+        warnings.append(f"the calibration is {age:.0f} days old and meant for {valid.days:g}: check it")
     return warnings

@@ -67,6 +67,8 @@ class ScanLayout:
     """By dataset name: ``data``, the per-frame fields, the scalars, ``checks/...`` where present."""
     verbatim: dict[str, bytes]
     epoch_utc_ns: int
+    zero_id: str = ""
+    """Which homing its positions count from; empty where the rig did not say."""
 
     @property
     def frame_nbytes(self) -> int:
@@ -191,7 +193,17 @@ def _layout_of(path: Path, file: h5py.File) -> ScanLayout:
         regions=regions,
         verbatim={name: bytes(entry[name][()]).rstrip(b"\0") for name in VERBATIM},
         epoch_utc_ns=int(clock.get("epoch_utc_ns", 0)),
+        zero_id=zero_id_in(_text(entry.attrs.get("versions", "{}"))),
     )
+
+
+def zero_id_in(versions_json: str) -> str:
+    """The zero that a scan's ``versions`` (JSON) names beside the programs; empty where it names none."""
+    try:
+        found = json.loads(versions_json)
+    except ValueError:
+        return ""
+    return str(found.get("zero_id", ""))[:100] if isinstance(found, dict) else ""
 
 
 def _region(dataset: h5py.Dataset) -> Region:

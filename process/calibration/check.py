@@ -73,6 +73,8 @@ class CheckResult:
     """How much later the light came than the calibration says (unit of its parameter), median."""
     shift_um: float
     """The same along the light plane's normal."""
+    zero_id: str = ""
+    """Of the sweep; empty where that is not known."""
     scale: BoardScale | None = None
     """Distances in the cloud against the board; None for a flat."""
 
@@ -158,6 +160,7 @@ def check_surface(surface: Surface, camera: CameraModel, plane: TranslatingPlane
         offset_um=float(((points[near] - surface.point) @ surface.normal).mean()) * 1000 if known else None,
         shift_t=shift_t,
         shift_um=shift_t * float(n @ v) / float(np.linalg.norm(n)) * 1000,
+        zero_id=sweep.zero_id,
         scale=_board_scale(surface, camera, points[near], pixels[near]) if known else None,
     )
 

@@ -88,7 +88,9 @@ class PlaneResult:
     def validity(self, days: float) -> dict[str, Any]:
         """The ``valid_for`` object: the sweep that it was made with, and for how long it is meant."""
         plan = self.sweep.plan
-        made = {"created_utc": utc_now(), "days": days}
+        made: dict[str, Any] = {"created_utc": utc_now(), "days": days}
+        if self.sweep.zero_id:
+            made["zero_id"] = self.sweep.zero_id
         if plan is None:
             return made
         return made | {
@@ -164,6 +166,8 @@ def fit_plane(
     results = surface_results(surfaces, points, heights, a, b)
     first = surfaces[0].sweep
     notes = _speed_notes(a, first)
+    if len({surface.sweep.zero_id for surface in surfaces if surface.sweep.zero_id}) > 1:
+        notes = (*notes, "the stage was homed between the sweeps: they count from different zeros, take them in one go")
     if known_camera is None:
         notes = (*notes, "the camera's file does not say how uncertain it is: the standard deviations leave it out")
     own = _pixels_part(surfaces, points, solution, view)

@@ -50,6 +50,8 @@ class FoldedSweep:
     """``position_um`` where the scan knows its positions, else ``frame``."""
     plan: SweepPlan | None
     format: FrameFormat
+    zero_id: str = ""
+    """Which homing its positions count from; empty where that is not known."""
 
     @property
     def t(self) -> F8:
@@ -91,7 +93,7 @@ def fold_sweep(
     depth = 2.0 ** (layout.format.bit_depth - 8)
     return FoldedSweep(
         name, crossing, sigma.astype(np.float64), _pattern_picture(low, high, depth), frame_t,
-        parameter, layout.plan, layout.format,
+        parameter, layout.plan, layout.format, layout.zero_id,
     )  # fmt: skip
 
 

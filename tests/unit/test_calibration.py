@@ -8,7 +8,7 @@ import json
 import msgspec
 import pytest
 
-from acquire.contract.calibration import check_size, check_validity, load_calibration, parse_calibration
+from acquire.contract.calibration import age_days, check_size, check_validity, load_calibration, parse_calibration
 from acquire.contract.errors import CalibrationError
 from acquire.contract.plan import SweepPlan
 
@@ -112,3 +112,17 @@ def test_the_real_calibration_is_accepted(real_scan):
     calibration, text = load_calibration(real_scan / "calibration.json")
     assert msgspec.json.decode(text)["light_plane"]["first_frame"] == 47
     assert calibration.light_plane.last_frame == 149
+
+
+def test_a_calibration_that_is_older_than_meant_is_warned_of_with_its_age():
+    calibration = parse_calibration(changed(valid_for={"created_utc": "2026-01-01T00:00:00Z", "days": 30}))
+    assert check_validity(calibration, PLAN, at_utc="2026-01-20T00:00:00Z") == []
+    assert check_validity(calibration, PLAN, at_utc="2026-02-15T00:00:00Z") == [
+        "the calibration is 45 days old and meant for 30: check it"
+    ]
+
+
+def test_an_age_needs_both_times():
+    calibration = parse_calibration(changed(valid_for={"created_utc": "yesterday"}))
+    assert age_days(calibration, "2026-01-20T00:00:00Z") is None
+    assert age_days(calibration, "") is None

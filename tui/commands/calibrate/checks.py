@@ -154,7 +154,11 @@ def rezero(
 
     result = _checked(scan, calibration_file, squares, square_mm)
     document = rezeroed(read_document(calibration_file), result.shift_t)
-    document["valid_for"] = {**(document.get("valid_for") or {}), "created_utc": utc_now(), "zero_id": None}
+    document["valid_for"] = {
+        **(document.get("valid_for") or {}),
+        "created_utc": utc_now(),
+        "zero_id": result.zero_id or None,
+    }
     write_document(out, document, force=force)
     words = f"the light plane was moved by {result.shift_um:+.2f} um along its normal"
     print_json({"out": out, "shift_um": result.shift_um}) if as_json else click.echo(f"{words}\n{out}")
