@@ -26,6 +26,9 @@ SEED_SIDES = (7, 4, 3)
 SEED_ATTEMPTS = 8
 MIN_ROW = 3
 """Corners that make a border row of the grid believable."""
+CHARUCO_WINDOW_SHARE = 0.4
+"""Of the window of a chessboard's corner: the markers begin an eighth of a square away."""
+SHARPENED_SCALE = 3
 SMALL_GRID = 200
 """Corners up to which the exhaustive search is quick enough; larger grids are grown instead."""
 _SECTOR = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
@@ -216,26 +219,53 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> Sighting:
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, 0.75 * board.pitch_mm, dictionary)
     detector = cv2.aruco.CharucoDetector(pattern)
-    corners, ids = detector.detectBoard(grey)[:2]
-    count = 0 if ids is None else len(ids)
-    if count < MIN_CORNERS:
-        mirrored = detector.detectBoard(np.ascontiguousarray(grey[:, ::-1]))[1]
-        if mirrored is not None and len(mirrored) >= MIN_CORNERS:
+    pixels, index = _charuco_corners(detector, grey)
+    if len(index) < MIN_CORNERS:
+        if len(_charuco_corners(detector, np.ascontiguousarray(grey[:, ::-1]))[1]) >= MIN_CORNERS:
             raise BoardNotFoundError(
                 "the markers are mirrored: the board lies upside down, or the camera's picture is mirrored"
             )
         raise BoardNotFoundError(
-            f"only {count} ChArUco corners were found, {MIN_CORNERS} are needed: too blurred, too little of the board "
-            "in the field, or another board?"
+            f"only {len(index)} ChArUco corners were found, {MIN_CORNERS} are needed: too blurred, too little of the "
+            "board in the field, or another board?"
         )
-    pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
-    index = np.asarray(ids).ravel()
+    pitch_px = _charuco_pitch_px(pixels, index, board)
+    refined = refine_saddles(grey, pixels, CHARUCO_WINDOW_SHARE * pitch_px)
+    pixels = np.where(np.isfinite(refined), refined, pixels)
     column, row = index % board.grid[0], index // board.grid[0]
     middle = (np.array(board.grid) - 1) / 2
     mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
-    pitch_px = float(np.median(_nearest(pixels)))
     # the origin is the board's own middle whatever part of it is seen: markers say which corner is which
     return Sighting(pixels, mm, True, pitch_px)
+
+
+def _charuco_corners(detector: cv2.aruco.CharucoDetector, grey: NDArray[np.uint8]) -> tuple[F8, NDArray[np.intp]]:
+    """Corners [n, 2] and their numbers [n]; where few are found, again in an enlarged and sharpened picture."""
+    best: tuple[F8, NDArray[np.intp]] = (np.empty((0, 2)), np.empty(0, np.intp))
+    for scale in (1, SHARPENED_SCALE):
+        picture = grey if scale == 1 else _sharpened(grey, scale)
+        corners, ids = detector.detectBoard(picture)[:2]
+        if ids is not None and len(ids) > len(best[1]):
+            pixels = (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
+            best = pixels, np.asarray(ids).ravel().astype(np.intp)
+        if len(best[1]) >= 2 * MIN_CORNERS:
+            break
+    return best
+
+
+def _sharpened(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
+    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.asarray(
+        cv2.addWeighted(large, 2.5, cv2.GaussianBlur(large, (0, 0), 2.0 * scale), -1.5, 0), dtype=np.uint8
+    )
+
+
+def _charuco_pitch_px(pixels: F8, index: NDArray[np.intp], board: Board) -> float:
+    """Median distance of corners that are neighbours on the board; of the nearest ones where none are."""
+    place = np.column_stack([index % board.grid[0], index // board.grid[0]])
+    apart = np.abs(place[:, None] - place[None]).sum(axis=2) == 1
+    distance = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
+    return float(np.median(distance[apart])) if apart.any() else float(np.median(_nearest(pixels)))
 
 
 def _dots(grey: NDArray[np.uint8], board: Board) -> Sighting:
