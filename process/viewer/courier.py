@@ -8,7 +8,7 @@ rest when there is time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,7 +24,8 @@ MOST_STEP_BYTES = 1_200_000
 STEP_NS = 300_000_000
 """Least time between two steps: drawing is what keeps a browser from showing newer words."""
 HURRY_S = 3.0
-"""If all that changed would take longer than this in full, it goes as an overview first."""
+"""If all that changed would take longer than this in full, it goes as an overview first; new nodes go so already if
+they do not fit into one step."""
 
 
 class Link(Protocol):
@@ -149,19 +150,25 @@ class Courier:
     def _jobs(self, cloud: Cloud) -> Iterator[tuple[int, int]]:
         """Nodes and how thin they are to be sent: what changed, then new colours, then what is still thin."""
         fine, coarse = cloud.fine, cloud.coarse
-        changed = sum(cloud.counts[node] for node in self._waiting) * POINT_BYTES / fine
-        hurried = changed > HURRY_S * self.link.rate_bytes_per_s
-        first = [node for node in self._waiting if node not in self._sent]
-        for node in [*first, *(node for node in list(self._waiting) if node in self._sent)]:
+        new = [node for node in self._waiting if node not in self._sent]
+        hurried = self._bytes(cloud, self._waiting) > HURRY_S * self.link.rate_bytes_per_s
+        overview = hurried or self._bytes(cloud, new) > self._step_bytes()
+        for node in new:
+            yield node, coarse if overview else fine
+        for node in [node for node in self._waiting if node in self._sent]:
             yield node, coarse if hurried else fine
         for node, sent in list(self._sent.items()):
             if sent.paint != cloud.paint:
                 yield node, sent.one_of
-        if hurried:
+        if overview:
             return  # what is refined now would change again before it has arrived
         thin = [node for node, sent in self._sent.items() if sent.one_of != fine]
         for node in sorted(thin, key=lambda node: self._distance(cloud, node)):
             yield node, fine
+
+    def _bytes(self, cloud: Cloud, nodes: Iterable[int]) -> float:
+        """What these nodes cost in full."""
+        return sum(cloud.counts[node] for node in nodes) * POINT_BYTES / cloud.fine
 
     def _distance(self, cloud: Cloud, node: int) -> float:
         eye = self.link.eye_mm

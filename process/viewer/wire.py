@@ -58,7 +58,7 @@ class Meter:
         """Of large messages, from the send to the pong; a pong that does not come lowers it all the while."""
         now_ns = time.monotonic_ns()
         waiting = [size * NS_PER_S / max(1, now_ns - begun_ns) for begun_ns, size in list(self._unheard.items())]
-        return min([self._rate_bytes_per_s, *waiting])
+        return min([self._rate_bytes_per_s, self._max_bytes_per_s, *waiting])
 
     @property
     def idle(self) -> bool:
