@@ -102,6 +102,17 @@ def estimates(pixels: int, speed: bool, clipped: bool, as_json: bool) -> None:
     click.echo(markdown(cases))
 
 
+@bench.command("console")
+@click.option("--columns", type=click.IntRange(60, 400), default=100, show_default=True)
+@click.option("--rows", type=click.IntRange(20, 200), default=30, show_default=True)
+@json_option
+def bench_of_console(columns: int, rows: int, as_json: bool) -> None:
+    """Measure the console in tmux during a sweep, and on a stuck and a slow line (takes two minutes)."""
+    from tui.bench_console import bench_console
+
+    _show(bench_console((columns, rows)), as_json)
+
+
 def _show(figures: object, as_json: bool) -> None:
     if as_json:
         print_json(figures)
