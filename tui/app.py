@@ -59,6 +59,10 @@ class ConsoleApp(App[None]):
 
     TITLE = "sweepscope"
     ENABLE_COMMAND_PALETTE = False
+    CSS = """
+    .ascii PicturePane, .ascii LogTail, .ascii StagePane, .ascii LightPane, .ascii PlanPane, .ascii ProgressPane,
+    .ascii .pane, .ascii Dialog > Vertical { border: ascii $primary 60%; }
+    """
     BINDINGS = [
         *[
             Binding(str(number), f"go('{entry.name}')", entry.name, show=False, tooltip=entry.words)
@@ -101,6 +105,7 @@ class ConsoleApp(App[None]):
         self._stop = StopWatch()
         self._narrator = Narrator()
         self._unshown = False
+        self.set_class(options.ascii_only, "ascii")
         for theme in THEMES:
             self.register_theme(theme)
         self.theme = options.theme

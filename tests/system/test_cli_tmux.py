@@ -103,7 +103,8 @@ def test_a_whole_session_in_a_real_terminal_from_the_preview_to_the_stop(termina
         terminal.press("r")
         terminal.wait_for("SWEEPING", "p pause")
         terminal.press("Space")
-        terminal.wait_for("stopped: ", "of 121 frames are safe", "stopped at")
+        terminal.wait_for("stopped: ", "of 121 frames are safe")
+        terminal.wait_until_gone("STOP sent")
         terminal.press("q")
         terminal.wait_for("STATUS=0")
     assert [path.name.partition("-")[2] for path in (tmp_path / "scans").iterdir()] == ["ear"]

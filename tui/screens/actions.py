@@ -133,8 +133,9 @@ def _entries(screen: RigScreenBase, bindings: list[Binding]) -> list[Entry]:
     entries = []
     for binding in bindings:
         own = hasattr(screen, f"action_{action_name(binding.action)}")
-        words = f"{binding.description}: {binding.tooltip}" if binding.tooltip else binding.description
         why_not = screen.why_not_now(binding.action)
+        more = binding.tooltip if binding.tooltip and not why_not else ""
+        words = f"{binding.description}: {more}" if more else binding.description
         key = screen.shell.key_words(binding)
         entries.append(Entry(screen.NAME if own else "", key, words, binding.action, why_not))
     return entries
@@ -144,5 +145,5 @@ def _line(entry: Entry) -> Text:
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{entry.key:>5}  ", style="bold")
     if entry.why_not:
-        return text.append(f"{entry.words}", style="dim").append(f"  [not now: {entry.why_not}]", style="dim italic")
+        return text.append(entry.words, style="dim").append(f"  not now: {entry.why_not}", style="dim italic")
     return text.append(entry.words)

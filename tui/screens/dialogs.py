@@ -49,7 +49,10 @@ class Dialog(ModalScreen[R]):
 class WordsInput(Input):
     """A field for words: ``_`` becomes a space, because the space bar is STOP everywhere."""
 
-    DEFAULT_CSS = "WordsInput { border: none; height: 1; padding: 0; background: $panel; }"
+    DEFAULT_CSS = """
+    WordsInput, WordsInput:focus { border: none; height: 1; padding: 0; background: $panel; }
+    WordsInput:focus { background: $primary 40%; }
+    """
 
     def insert_text_at_cursor(self, text: str) -> None:
         """Insert what was typed or pasted."""
@@ -59,7 +62,10 @@ class WordsInput(Input):
 class PlainInput(Input):
     """A field of one line without a frame."""
 
-    DEFAULT_CSS = "PlainInput { border: none; height: 1; padding: 0; background: $panel; }"
+    DEFAULT_CSS = """
+    PlainInput, PlainInput:focus { border: none; height: 1; padding: 0; background: $panel; }
+    PlainInput:focus { background: $primary 40%; }
+    """
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from tui.widgets.picture_pane import PicturePane
 from tui.widgets.scan_panes import LightPane, PlanPane, ProgressPane, StagePane
 from tui.words import is_running, scan_name
 
-TALL = 30
+TALL = 33
 """From this height on plan and progress are both in view."""
 SETTLE_S = 0.3
 """The estimate is asked for when the plan has not changed for so long."""

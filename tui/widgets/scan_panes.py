@@ -119,7 +119,8 @@ class PlanPane(_Pane):
         )
         self._proposal(text, status, width)
         text.append("\n")
-        worst = self.estimate.refused or next(iter(self.estimate.warnings), "")
+        warnings = [*self.estimate.warnings, *(status.proposal.warnings if status.proposal else ())]
+        worst = self.estimate.refused or next(iter(warnings), "")
         ended = outcome_line(status)
         if worst and not is_running(status):
             text.append(shorten(f"! {worst}", width), style="bold yellow")
@@ -132,9 +133,7 @@ class PlanPane(_Pane):
             self.key(text, "prescan", "pre-scan finds the bounds", "dim")
             return
         words = f"take {found.first_steps}..{found.last_steps}, {found.exposure_ms:.1f} ms"
-        warning = f"  ! {found.warnings[0]}" if found.warnings else ""
         self.key(text, "use_proposal", words, "bold cyan")
-        text.append(shorten(warning, max(0, width - 2 - len(words))), style="bold yellow")
 
 
 class ProgressPane(_Pane):
