@@ -146,13 +146,13 @@ class ReconstructScreen(RigScreenBase):
             return
         maps, window = self._maps, self._window
         self.query_one("#maps").display, self._nothing.display = maps is not None, maps is None
-        self._arrange()
+        most_across = self._arrange()
         if maps is None or window is None:
             self._nothing.update(self._problem or self._waiting_words())
             self._pane.show(ContrastView(source=self._source(), warning=self._problem, contrast=self._contrast or 0))
             return
         for layer in layers_of(maps, self._mask):
-            self._views[layer.quantity].show(layer, window)
+            self._views[layer.quantity].show(layer, window, most_across)
         assert self._contrast is not None
         self._pane.show(
             ContrastView(
@@ -169,7 +169,8 @@ class ReconstructScreen(RigScreenBase):
     def _first_view(self) -> MapView:
         return self._views[self._alone or Quantity.MINIMUM]
 
-    def _arrange(self) -> None:
+    def _arrange(self) -> int:
+        """Choose how the maps stand; returns how many cells wide each may be."""
         grid = self.query_one("#maps", Grid)
         rows, columns = self._maps.shape if self._maps else (3, 4)
         place = self.query_one("#body").size
@@ -180,6 +181,8 @@ class ReconstructScreen(RigScreenBase):
         grid.set_class(self._alone is None and square > row, "square")
         for quantity, view in self._views.items():
             view.display = self._alone in (None, quantity)
+        columns = 1 if self._alone is not None else 2 if square > row else 4
+        return (width - columns + 1) // columns - 1
 
     def _waiting_words(self) -> str:
         status = self.view.status

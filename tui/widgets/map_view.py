@@ -78,6 +78,7 @@ class MapView(Widget):
         self._window: Window | None = None
         self._cursor = (-1, -1)
         self._high = 0.0
+        self._most_across = 1000
         self.painted = 0
         """How often the picture changed."""
 
@@ -85,11 +86,12 @@ class MapView(Widget):
     def picture_cells(self) -> tuple[int, int]:
         """Values down (two in a cell, one where plain) and across that have room."""
         size = self.content_size
-        return max(1, (size.height - 2) * (1 if self._plain else 2)), max(1, size.width - 1)
+        across = min(size.width - 1, self._most_across)
+        return max(1, (size.height - 2) * (1 if self._plain else 2)), max(1, across)
 
-    def show(self, layer: Layer, window: Window) -> None:
-        """Take a map and what is in view of it."""
-        self._layer, self._window = layer, window
+    def show(self, layer: Layer, window: Window, most_across: int) -> None:
+        """Take a map and what is in view of it; ``most_across`` cells keep neighbours equally large."""
+        self._layer, self._window, self._most_across = layer, window, most_across
         self._compute()
 
     def on_resize(self) -> None:
