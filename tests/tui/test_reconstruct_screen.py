@@ -112,6 +112,18 @@ def test_equal_maps_are_not_painted_again():
     play(script, screen="reconstruct")
 
 
+def test_maps_of_the_scan_before_are_not_shown_as_those_of_a_new_one():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.hear(*MAPS)
+        await stage.hear(StatusArrived(msgspec.structs.replace(SWEEPING, scan_uid="uid-2")))
+        assert "waiting for the worker's first maps" in stage.painted
+        await stage.hear(MapsArrived(live_maps(scan_uid="uid-2")))
+        assert pixels_over(stage) > 0
+
+    play(script, screen="reconstruct")
+
+
 def test_a_running_sweep_is_not_made_and_the_reason_is_said():
     async def script(stage):
         stage.watch_jobs()

@@ -114,7 +114,10 @@ class ReconstructScreen(RigScreenBase):
 
     def show(self, view: RigView) -> None:
         """The sweep's newest maps, unless an older scan is looked at."""
-        if self._folder is None and view.maps is not None and view.maps is not self._live:
+        if self._folder is None and self._maps is not None and _is_of_another_scan(view):
+            self._maps = None
+        if self._folder is None and view.maps is not self._live and not _is_of_another_scan(view):
+            assert view.maps is not None
             self._live = view.maps
             self._take(maps_of_sweep(view.maps, view.progress))
         else:
@@ -327,6 +330,13 @@ class ReconstructScreen(RigScreenBase):
         job = self.shell.jobs.board.running_on(str(self._scan))
         if job is not None:
             self.shell.jobs.cancel(job)
+
+
+def _is_of_another_scan(view: RigView) -> bool:
+    """The maps that were heard last are not those of the scan that the daemon tells of; or none were heard."""
+    if view.maps is None:
+        return True
+    return view.status is not None and view.status.scan_uid not in ("", view.maps.header.scan_uid)
 
 
 def _contrast(texts: dict[str, str]) -> int:
