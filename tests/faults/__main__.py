@@ -20,7 +20,7 @@ from .firmware_rows import FIRMWARE_ROWS
 from .harness import run_scan
 from .kills import kill_many
 from .rows import ROWS
-from .sabotage import PROTECTIONS
+from .sabotage import PROTECTIONS, can_be_taken_away
 
 BEGIN, END = "<!-- made by `make faults` -->", "<!-- end of what `make faults` made -->"
 
@@ -65,6 +65,7 @@ def _row(fault: str, options: argparse.Namespace) -> Account:
     for name, protection in PROTECTIONS.items():
         if options.sabotage and protection.row == fault:
             account.protections += 1
+            assert can_be_taken_away(name), f"{name!r} is not where it is looked for"
             why = _try(fault, 0.4, options.seed, name)
             account.caught += bool(why)
             print(f"  without {name!r}: {'red: ' + why if why else 'STAYED GREEN'}", flush=True)

@@ -11,6 +11,7 @@ from acquire.contract.faults import FAULTS
 from .firmware_rows import FIRMWARE_ROWS
 from .harness import run_scan
 from .rows import ROWS
+from .sabotage import PROTECTIONS, can_be_taken_away
 
 
 @pytest.mark.parametrize("fault", sorted(ROWS | FIRMWARE_ROWS))
@@ -26,6 +27,17 @@ def test_the_texts_of_the_manual_are_those_of_the_console():
     manual = (Path(__file__).parents[2] / "docs/faults.md").read_text()
     for fault in FAULTS.values():
         assert f"| {fault.code} | {fault.happened} | {fault.safe} | {fault.to_do} |" in manual
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+def test_every_protection_is_still_where_it_is_taken_away():
+    """Else its row would turn red for another reason: a service that does not start."""
+    import acquire.daemon
+    import acquire.twin
+    import acquire.writer
+    import process.worker  # noqa: F401 - loaded once here, not in each child
+
+    assert [name for name in PROTECTIONS if not can_be_taken_away(name)] == []
 
 
 def test_a_harness_that_lost_a_protection_says_so():
