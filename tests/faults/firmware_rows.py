@@ -20,7 +20,7 @@ from acquire.twin import PINS_NAME
 from tests.conftest import need
 from tui.client import RigClient
 
-from .harness import COUNT, STEPS, Rig, assert_promise
+from .harness import COUNT, START_S, STEPS, Rig, assert_promise
 from .rows import complete, resume
 
 LEASE_MS = 300.0
@@ -90,7 +90,9 @@ def _emulated(rig: Rig) -> Iterator[tuple[RigClient, Bench]]:
     _set_up(rig)
     rig.start("daemon", "writer")
     with rig.client() as client:
-        (control,) = rig.until(lambda: list((rig.data_dir.parent / "tmp").glob("stage-*/control")), "the emulator")
+        (control,) = rig.until(
+            lambda: list((rig.data_dir.parent / "tmp").glob("stage-*/control")), "the emulator", START_S
+        )
         bench = Bench(control)
         try:
             _home(rig, client)
@@ -189,7 +191,8 @@ def other_firmware(rig: Rig) -> None:
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "other firmware"
     rig.start("daemon")
     process = rig.processes["daemon"]
-    rig.until(lambda: process.poll() is not None or (rig.run_dir / "command.sock").exists(), "the daemon has decided")
+    command = rig.run_dir / "command.sock"
+    rig.until(lambda: process.poll() is not None or command.exists(), "the daemon has decided", START_S)
     log = rig.log.read_text()
     assert process.poll() == 1, f"the daemon took it: {log}"
     assert "9.0" in log and "1.0" in log and "nothing has moved" in log
