@@ -13,14 +13,20 @@ from .harness import run_scan
 from .rows import ROWS
 from .sabotage import PROTECTIONS, can_be_taken_away
 
+ON_THE_WHOLE_SYSTEM = ("F12", "F13", "F23")
+"""Rows of the controller that are shown here as well; all of them are in tests/firmware, and in ``make faults``."""
 
-@pytest.mark.parametrize("fault", sorted(ROWS | FIRMWARE_ROWS))
+
+@pytest.mark.parametrize("fault", sorted([*ROWS, *ON_THE_WHOLE_SYSTEM]))
 def test_the_promise_holds_under(fault):
     run_scan(fault, at=0.4, seed=int(fault[1:]))
 
 
 def test_every_row_of_the_table_has_its_place():
     assert {*ROWS, *FIRMWARE_ROWS} == set(FAULTS)
+    on_the_emulator = (Path(__file__).parents[1] / "firmware/test_faults.py").read_text()
+    for code in FIRMWARE_ROWS:
+        assert f"def test_{code.lower()}_" in on_the_emulator
 
 
 def test_the_texts_of_the_manual_are_those_of_the_console():

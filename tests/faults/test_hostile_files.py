@@ -241,7 +241,7 @@ def import_or_refuse(frames: Path, source: random.Random) -> str:
         picture.write_bytes(whole)
 
 
-@pytest.mark.parametrize("suffix", ["png", "bmp", "jpg", "tif"])
+@pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_a_folder_with_a_bent_picture_is_refused_in_one_line_or_imported_as_it_is_read(suffix, tmp_path):
     """In a process of its own, because the decoders are C."""
     import subprocess
