@@ -48,14 +48,17 @@ class Ahead:
         try:
             self._sequence = sequence_of(frames, present, self._settings)
         except ScanFileError as error:
-            logger.warning("no estimates ahead of the end: %s", error)
-            self._wanted, self._sequence = False, None
+            self._give_up(error)
             return
         if self._early is None or self._fold is not cursor.fold:
             self._fold, self._early = cursor.fold, self._new()
         self._looked = False
         if self._early.watch.weighing is not None:
             self._early.propose(maps, starts(maps, cursor.fold.present), len(present))
+
+    def _give_up(self, error: ScanFileError) -> None:
+        logger.warning("no estimates ahead of the end: %s", error)
+        self._wanted, self._sequence, self._early = False, None, None
 
     def _new(self) -> EarlyEstimates:
         levels = self._settings.noise_counts * 2.0 ** (self._form.bit_depth - 8)
@@ -73,10 +76,14 @@ class Ahead:
         """Do some of it."""
         if self._early is None or self._sequence is None or self._fold is not cursor.fold:
             self._sequence = None
-        elif self._early.busy:
-            self._early.work(self._sequence)
-        else:
-            self._looked = not self._early.watch.look(self._sequence, 1)
+            return
+        try:
+            if self._early.busy:
+                self._early.work(self._sequence)
+            else:
+                self._looked = not self._early.watch.look(self._sequence, 1)
+        except ScanFileError as error:
+            self._give_up(error)
 
     def estimates(self, cursor: FoldCursor) -> EarlyEstimates | None:
         """Those of the cursor's fold; None if there are none."""

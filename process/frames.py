@@ -136,6 +136,7 @@ class ScanFrames:
         stack = stored.reshape(len(stored), form.height * form.width, -1)
 
         def read(pixels: NDArray[np.int64], first: NDArray[np.int64], end: NDArray[np.int64]) -> NDArray[Any]:
+            self._reader.check_length()
             values = gathered(stack, frames, pixels, first, end)
             return values.reshape(values.shape[:2]) if values.shape[2] == 1 else to_grey(values, form.bit_depth)
 

@@ -351,14 +351,26 @@ class ScanReader:
         """All frames as stored, [n, h, w] or [n, h, w, 3], mapped into memory: for reading single pixels of many.
 
         Read-only; committed frames never change, others may. Valid as long as something refers to it, whatever the
-        file is called meanwhile.
+        file is called meanwhile; ask :meth:`check_length` before reading, because what was cut off kills the process.
+
+        Raises:
+            ScanFileError: the file was cut short.
         """
+        self.check_length()
         region = self.layout.regions["data"]
-        if os.fstat(self._fd).st_size < region.offset + region.nbytes:
-            raise ScanFileError(f"{self.layout.path} was cut short")
         with os.fdopen(os.dup(self._fd), "rb") as file:
             pages = np.memmap(file, region.dtype, "r", region.offset, region.shape)
         return np.asarray(pages)
+
+    def check_length(self) -> None:
+        """Refuse a file that was cut short after it was opened.
+
+        Raises:
+            ScanFileError: it was.
+        """
+        region = self.layout.regions["data"]
+        if os.fstat(self._fd).st_size < region.offset + region.nbytes:
+            raise ScanFileError(f"{self.layout.path} was cut short; restore it from a copy")
 
     def frames(self, first: int = 0, last: int | None = None) -> Iterator[tuple[int, NDArray[Any]]]:
         """Present frames from ``first`` through ``last`` (both included) in order, with their index."""

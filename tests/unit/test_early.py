@@ -150,14 +150,15 @@ def test_work_ahead_stops_where_the_file_was_cut_short(colour_scan, tmp_path, ca
     with ScanFrames(cut) as frames:
         settings = settle(recorded_in(frames.layout), ReconstructOptions(method="auto"))
         cursor = FoldCursor(lambda: new_fold(settings, frames.layout.format, frames.count), frames.count, 0)
-        cursor.fill(frames, limit=20)
+        cursor.fill(frames, limit=40)
         maps = cursor.fold.result(contrast=30, median=0, noise_counts=2.0, read_columns=None)
-        with cut.open("r+b") as file:
-            file.truncate(cut.stat().st_size // 2)
         ahead = Ahead(settings, frames.layout.format)
         ahead.propose(maps, cursor, frames)
-        assert not ahead.busy and ahead.estimates(cursor) is None
-        assert "cut short" in caplog.text
+        assert ahead.busy
+        with cut.open("r+b") as file:
+            file.truncate(cut.stat().st_size // 2)
+        ahead.work(cursor)
+        assert not ahead.busy and ahead.estimates(cursor) is None and "cut short" in caplog.text
 
 
 def test_the_complement_of_a_falling_edge_is_told_from_the_full_scale():
