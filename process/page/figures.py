@@ -88,7 +88,7 @@ def section_picture(results: ScanResults) -> Figure | None:
     along, height, sigma = _from_the_side(points)
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     axes: Any = figure.subplots()
-    axes.errorbar(along, height, yerr=3 * sigma, fmt="none", ecolor="#c8c8c8", elinewidth=0.7, zorder=1)
+    axes.errorbar(along, height, yerr=3 * sigma, fmt="none", ecolor="#dcdcdc", elinewidth=0.7, zorder=1)
     colour = np.stack([points[c] for c in ("red", "green", "blue")], axis=1) / 255.0
     axes.scatter(along, height, s=5, c=colour * 0.85, zorder=2, linewidths=0)
     axes.set_aspect("equal", adjustable="datalim")
@@ -128,7 +128,8 @@ def histogram_picture(results: ScanResults) -> Figure:
         right.axvline(np.median(sigma), color="#222222", linestyle="--")
         unit = "um" if um else "frames"
         right.set(
-            xlabel=f"standard deviation, {unit}", title=f"points by uncertainty, median {np.median(sigma):.2g} {unit}"
+            xlabel=f"standard deviation, {unit}",
+            title=f"points by uncertainty, median {two_digits(np.median(sigma))} {unit}",
         )
     return figure
 
@@ -143,6 +144,11 @@ def _around(results: ScanResults, *pictures: Any) -> None:
     for axes in pictures:
         axes.set_xlim(max(columns.min() - margin, 0) - 0.5, min(columns.max() + margin, width - 1) + 0.5)
         axes.set_ylim(min(rows.max() + margin, height - 1) + 0.5, max(rows.min() - margin, 0) - 0.5)
+
+
+def two_digits(value: Any) -> str:
+    """A number to two digits, without an exponent where it has a usual size."""
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _two() -> tuple[Figure, Any]:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from acquire.contract.outcome import outcome_words
 from process.replacing import replacing
 
-from .figures import contrast_picture, crossing_picture, histogram_picture, section_picture
+from .figures import contrast_picture, crossing_picture, histogram_picture, section_picture, two_digits
 from .results import ScanResults
 
 _STYLE = """
@@ -48,7 +48,7 @@ def verdict(results: ScanResults) -> Verdict:
     if not counts["points"]:
         return Verdict("bad", f"No points. {saved}.", report.warnings)
     sigma = results.cloud["sigma_um"] if results.cloud is not None else np.zeros(0)
-    known = f", each known to {np.median(sigma):.2g} um (median standard deviation)" if sigma.size else ""
+    known = f", each known to {two_digits(np.median(sigma))} um (median standard deviation)" if sigma.size else ""
     headline = f"{grouped(counts['points'])} points{known}. {saved}."
     incomplete = report.outcome != "complete" or counts["missing"] > 0
     kind = "bad" if incomplete else "fair" if report.warnings else "good"

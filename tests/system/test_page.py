@@ -15,6 +15,7 @@ from acquire.contract.outcome import frame_crc32
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
 from acquire.scan_file import create_scan
+from process.page.figures import two_digits
 from process.page.page import page, verdict, write_page
 from process.page.results import ScanResults, read_results
 from process.reconstruct import reconstruct
@@ -64,6 +65,11 @@ def test_the_page_needs_nothing_but_itself_and_holds_all_pictures(text):
 def test_the_page_says_where_everything_came_from(text, results):
     assert results.report.digest in text and results.report.calibration.sha256 in text
     assert "stapes 7" in text and "from the scan" in text and "SAVED: 40 of 40 frames are safe" in text
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.2113, "0.21"), (863.2, "860"), (12.4, "12"), (1.0, "1")])
+def test_numbers_for_people_have_two_digits_and_no_exponent(value, text):
+    assert two_digits(value) == text
 
 
 def test_every_point_of_the_cloud_stands_at_its_pixel(results):
