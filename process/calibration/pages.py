@@ -11,28 +11,45 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 
 from .camera import CameraResult
 from .comparing import Difference
+from .plane_residuals import LIMIT_UM
 from .plane_sweep import PlaneResult
 from .quarter_circle import QuarterCircle
 
 MAGNIFIED = 10.0
 TRACK_LIMIT_UM = 2.0
-_STYLE = "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto}img{max-width:100%}.bad{color:#b00020}"
+CELLS_ACROSS = 24
+FEWEST_IN_CELL = 3
+CELL_PX = 12
+"""Side of the cells that a residual map shows: a board's clear pixels are islands, too small to see alone."""
+F8 = NDArray[np.float64]
+_STYLE = "body{font:15px/1.5 sans-serif;max-width:70em;margin:2em auto}img{max-width:100%}.bad{color:#b00020}"
 
 
 def camera_page(result: CameraResult, words: Sequence[str]) -> str:
     """Coverage, residual vectors magnified ten times, error per view, and the verdict in words."""
-    verdict = f"{len(result.used)} views agree within {result.fit.rms_px:.3f} px"
+    verdict = f"{len(result.used)} of {len(result.views)} views agree within {result.fit.rms_px:.3f} px"
+    if result.stage is not None:
+        verdict += (
+            f"; points at the corners of the field are known to {result.predicted_um[0]:.2g} um on the board's plane, "
+            f"{result.predicted_um[1]:.2g} um half a millimetre above (standard deviations, camera only)"
+        )
     return _page("Camera calibration", verdict, words, [_coverage(result), _per_view(result)], good=not result.notes)
 
 
 def plane_page(result: PlaneResult, words: Sequence[str]) -> str:
     """Residual map of each surface, and the verdict in words."""
-    verdict = "all surfaces agree within 1 um" if result.ok else "FAILED: the surfaces contradict each other"
+    verdict = (
+        f"all {len(result.surfaces)} surfaces agree within {LIMIT_UM:g} um; the normal is known to "
+        f"{result.normal_sd_deg:.3f} degrees, the speed to {100 * result.speed_sd:.3f} %"
+        if result.ok
+        else "FAILED: " + "; ".join(f"{s.name}: {s.cause}" for s in result.surfaces if not s.ok)
+    )
     return _page("Light plane calibration", verdict, words, [_maps(result)], good=result.ok)
 
 
@@ -75,16 +92,44 @@ def _png(figure: Figure) -> str:
 
 
 def _coverage(result: CameraResult) -> Figure:
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
-    axes: Any = figure.subplots()
+    """Where corners were seen and by how much each is off, magnified; beside it the mean per part of the field."""
+    figure = Figure(figsize=(12, 5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    places = np.concatenate([view.pixels for view in result.used])
+    errors = np.concatenate([-result.fit.residuals(index, view) for index, view in enumerate(result.used)])
     for index, view in enumerate(result.used):
-        error = -result.fit.residuals(index, view)
-        axes.plot(*view.pixels.T, ".", markersize=2, alpha=0.5)
-        axes.quiver(
-            *view.pixels.T, *(MAGNIFIED * error).T, angles="xy", scale_units="xy", scale=1, width=0.0012, alpha=0.6
+        off = -result.fit.residuals(index, view)
+        left.plot(*view.pixels.T, ".", markersize=2, alpha=0.4)
+        left.quiver(
+            *view.pixels.T, *(MAGNIFIED * off).T, angles="xy", scale_units="xy", scale=1, width=0.0015, alpha=0.7
         )
-    axes.set(xlim=(0, result.size[0]), ylim=(result.size[1], 0), xlabel="px", ylabel="px", aspect="equal")
-    axes.set_title(f"corners of all views, residuals x {MAGNIFIED:.0f}; {100 * result.coverage:.0f} % of the field")
+    left.set_title(f"corners of all views, residuals x {MAGNIFIED:.0f}; {100 * result.coverage:.0f} % of the field")
+    cell = result.size[0] / CELLS_ACROSS
+    rows = int(np.ceil(result.size[1] / cell))
+    number = (places[:, 1] // cell).astype(int).clip(0, rows - 1) * CELLS_ACROSS
+    number += (places[:, 0] // cell).astype(int).clip(0, CELLS_ACROSS - 1)
+    count = np.bincount(number, minlength=rows * CELLS_ACROSS)
+    mean = [np.bincount(number, part, rows * CELLS_ACROSS) / np.maximum(count, 1) for part in errors.T]
+    extent = (0, CELLS_ACROSS * cell, rows * cell, 0)
+    image = right.imshow(count.reshape(rows, -1), extent=extent, cmap="Blues", vmin=0, aspect="auto")
+    figure.colorbar(image, ax=right, label="corners")
+    seen = np.flatnonzero(count >= FEWEST_IN_CELL)
+    longest = max(float(np.hypot(mean[0][seen], mean[1][seen]).max()) if len(seen) else 0.0, 1e-6)
+    scale = longest / cell
+    middle = (np.column_stack([seen % CELLS_ACROSS, seen // CELLS_ACROSS]) + 0.5) * cell
+    right.quiver(
+        *middle.T,
+        mean[0][seen],
+        mean[1][seen],
+        angles="xy",
+        scale_units="xy",
+        scale=scale,
+        width=0.004,
+        color="#b00020",
+    )
+    right.set_title(f"corners in each part, and their mean residual (longest {longest:.3f} px)")
+    for axes in (left, right):
+        axes.set(xlim=(0, result.size[0]), ylim=(result.size[1], 0), xlabel="px", ylabel="px", aspect="equal")
     return figure
 
 
@@ -99,14 +144,37 @@ def _per_view(result: CameraResult) -> Figure:
 
 
 def _maps(result: PlaneResult) -> Figure:
-    figure = Figure(figsize=(9, 4.2 * len(result.surfaces)), layout="constrained")
-    grid: Any = figure.subplots(len(result.surfaces), 1, squeeze=False)
-    for axes, surface in zip(grid[:, 0], result.surfaces, strict=True):
+    """Residual of each surface in cells of the picture, and how it is spread."""
+    rows = len(result.surfaces)
+    figure = Figure(figsize=(12, 4 * rows), layout="constrained")
+    grid: Any = figure.subplots(rows, 2, squeeze=False, width_ratios=(2, 1))
+    for (left, right), surface in zip(grid, result.surfaces, strict=True):
         limit = max(3 * surface.rms_um, 0.5)
-        image = axes.imshow(surface.map_um, vmin=-limit, vmax=limit, cmap="RdBu", interpolation="nearest")
-        axes.set_title(f"{surface.name}: residual, mean {surface.mean_um:+.2f} um, RMS {surface.rms_um:.2f} um")
-        figure.colorbar(image, ax=axes, label="um")
+        cells = _in_cells(surface.map_um)
+        height, width = surface.map_um.shape
+        image = left.imshow(
+            cells, vmin=-limit, vmax=limit, cmap="RdBu", interpolation="nearest", extent=(0, width, height, 0)
+        )
+        left.set_facecolor("#e0e0e0")
+        left.set(title=f"{surface.name}: residual, mean {surface.mean_um:+.2f} um, RMS {surface.rms_um:.2f} um",
+                 xlabel="px", ylabel="px")  # fmt: skip
+        figure.colorbar(image, ax=left, label="um along the light plane's normal")
+        values = surface.map_um[np.isfinite(surface.map_um)]
+        right.hist(values, bins=80, range=(-2 * limit, 2 * limit))
+        right.axvspan(-LIMIT_UM, LIMIT_UM, alpha=0.12, color="green")
+        right.set(title="pixels; green: where the mean has to lie", xlabel="um", yticks=[])
     return figure
+
+
+def _in_cells(values: F8) -> F8:
+    """Means over cells of CELL_PX pixels, NaN where a cell has none."""
+    height, width = values.shape
+    padded = np.full((-(-height // CELL_PX) * CELL_PX, -(-width // CELL_PX) * CELL_PX), np.nan)
+    padded[:height, :width] = values
+    parts = padded.reshape(padded.shape[0] // CELL_PX, CELL_PX, padded.shape[1] // CELL_PX, CELL_PX)
+    known = np.isfinite(parts)
+    total, count = np.where(known, parts, 0.0).sum(axis=(1, 3)), known.sum(axis=(1, 3))
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _track(result: QuarterCircle) -> Figure:

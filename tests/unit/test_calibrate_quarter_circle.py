@@ -60,7 +60,7 @@ def test_the_pattern_is_found_in_the_frames_and_gives_the_plane_and_its_true_vel
     assert plane.corner_velocity_mm == pytest.approx(truth["corner_velocity_mm"], abs=5e-7)
     assert plane.corner_origin_mm == pytest.approx(truth["corner_origin_mm"], abs=1e-3)
     assert plane.velocity_direction == "corner-track"
-    assert "the quarter circle against the light plane from sweeps: normals differ by 0." in output
+    assert "the quarter circle against the other light plane: normals differ by 0." in output
     assert "data:image/png" in (tmp_path / "c-quarter-circle.html").read_text()
 
 

@@ -117,7 +117,7 @@ def quarter_circle_words(result: QuarterCircle, between: Difference | None) -> l
         f"an edge that is wrong by 1 um turns the plane by {_per_um(result):.4f} degrees; sizes of the slide by more",
     ]
     if between is not None:
-        lines += between.words("the light plane from sweeps", "the quarter circle")
+        lines += between.words("the other light plane", "the quarter circle")
     return lines
 
 
