@@ -26,7 +26,7 @@ VIEWS: Final[dict[str, tuple[float, float, float]]] = {
     "Iso": (0.577, -0.577, 0.577),
 }
 """Named directions from the object to the eye."""
-MARGIN = 1.05
+MARGIN = 1.12
 ASPECT = 1.2
 """Width by height of the picture until the browser has told its own."""
 MIN_DISTANCE_MM = 0.01
