@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from acquire.contract.calibration import Calibration, parse_calibration
+from acquire.contract.calibration import Calibration, load_calibration, parse_calibration
 from acquire.contract.clocks import Clock
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messages import Status
@@ -49,14 +50,15 @@ class RigShown:
 class Scene:
     """Brings news into the picture, in turns that a browser can digest."""
 
-    def __init__(self, server: Page, look: Look, clock: Clock) -> None:
+    def __init__(self, server: Page, look: Look, clock: Clock, calibration: str = "") -> None:
+        """``calibration``: path of the rig's own, drawn before the first scan; may be empty."""
         self._server = server
         self._clock = clock
         self.cloud = Cloud(look)
         self.delivery = Delivery(server, self.cloud)
         self.framing = Framing(server, clock)
         self._marks = RigMarks(server)
-        self._book = CalibrationBook(clock)
+        self._book = CalibrationBook(clock, calibration)
         self._field: Bounds | None = None
         self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
         self._light_at: tuple[object, ...] = ()
@@ -205,10 +207,14 @@ class Scene:
 class CalibrationBook:
     """The calibration that the shown scan keeps in its file; looked up once per scan, a few times if not yet there."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, before: str = "") -> None:
+        """``before``: path of the calibration that holds before any scan; may be empty."""
         self._clock = clock
         self._path = ""
         self._found: Calibration | None = None
+        if before:
+            with contextlib.suppress(SweepscopeError):  # the services that need it say what is wrong with it
+                self._found, _ = load_calibration(Path(before).expanduser())
         self._looks_left = 0
         self._next_ns = 0
 

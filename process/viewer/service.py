@@ -96,7 +96,8 @@ class Viewer:
         if tabs is not None and self._controls is not None:
             with tabs.add_tab("Rig"):
                 self._controls.fill()
-        self._scene = Scene(self._page, Look(max_points=settings.max_points), self._clock)
+        look = Look(max_points=settings.max_points)
+        self._scene = Scene(self._page, look, self._clock, config.rig.reconstruct.calibration)
         if tabs is not None:
             with tabs.add_tab("View"):
                 self._view = ViewPanel(self._page, self._scene.framing, settings.max_points)

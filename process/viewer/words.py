@@ -106,7 +106,7 @@ def _about_worker(snapshot: Snapshot, now_ns: int) -> list[Remark]:
         if behind > WORKER_LAG_FRAMES:
             since = f" for {_seconds(now_ns - worker.heard_ns)}" if worker.heard_ns else ""
             found.append(Remark("warning", f"No word from the worker{since}; the cloud is {behind} frames behind."))
-    if progress is not None and progress.message:
+    if progress is not None and progress.message and status is not None and status.scan_path:
         found.append(Remark("note", f"Worker: {progress.message}"))
     return found
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ from acquire.contract.messages import Status
 from acquire.contract.plan import SweepPlan
 from process.viewer.framing import ECHO_NS, Framing, Pose, overview
 from process.viewer.rig_marks import travel_of
-from process.viewer.scene import nice_length_mm
+from process.viewer.scene import CalibrationBook, nice_length_mm
 from process.viewer.sketch import box_edges, field_of_view, light_at, sheet
 from process.viewer.tiles import Bounds
 
@@ -137,6 +139,16 @@ def test_without_a_plane_that_moves_the_travel_is_not_drawn() -> None:
         TRANSLATING | {"parameter": "position_um", "normal": [0, 0, 1], "corner_velocity_mm": [0, 0, 1]}
     )
     assert travel_of(upward, Status(state="idle", position_steps=1, position_um=3.0), BOX) is None
+
+
+def test_before_the_first_scan_the_rigs_own_calibration_is_drawn_and_a_broken_one_is_none(tmp_path: Path) -> None:
+    known = calibration(TRANSLATING | {"parameter": "position_um"})
+    good, bad = tmp_path / "calibration.json", tmp_path / "broken.json"
+    good.write_bytes(msgspec.json.encode(known))
+    bad.write_text("{")
+    assert CalibrationBook(Still(), str(good)).of("") == known
+    assert CalibrationBook(Still(), str(bad)).of("") is None
+    assert CalibrationBook(Still(), str(good)).of(str(tmp_path / "scan-without-any")) is None
 
 
 def test_the_edges_of_a_box_are_twelve() -> None:
