@@ -50,9 +50,11 @@ def view(tilt_x: float, tilt_y: float, seed: int = 1) -> np.ndarray:
 
 def camera_file(folder: Path, camera: Pinhole = PINHOLE) -> list[str]:
     write_document(folder / "camera.json", new_document(msgspec.structs.asdict(camera.model())))
-    return ["--camera", str(folder / "camera.json"), *SQUARES]
+    return ["--camera", str(folder / "camera.json"), *SQUARES, *QUICK]
 
 
+QUICK = ["--method", "linear"]
+AUTO = ["--method", "auto"]
 SQUARES = ["--squares", "13x10", "--square-mm", "0.3"]
 
 
@@ -85,13 +87,13 @@ def test_parallel_views_are_named(tmp_path):
 
 def test_a_charuco_board_that_lies_upside_down_is_recognised_by_its_mirrored_markers(tmp_path):
     board = Board(8, 6, 0.6, "charuco")
-    views = pictures(tmp_path, *(photograph(charuco(board), turned(k, 5), AT)[:, ::-1] for k in (0, 10, 20)))
+    views = pictures(tmp_path, photograph(charuco(board), turned(5, 5), AT)[:, ::-1])
     with pytest.raises(CalibrationError, match="mirrored: the board lies upside down"):
         calibrate(tmp_path, "camera", views, "--squares", "8x6", "--square-mm", "0.6", "--kind", "charuco")
 
 
 def test_a_board_with_more_squares_than_given_is_another_one(tmp_path):
-    views = pictures(tmp_path, view(0, 1), view(15, 0), view(0, 18))
+    views = pictures(tmp_path, view(0, 1))
     with pytest.raises(CalibrationError, match="more than the 9 x 7 given: another board"):
         calibrate(tmp_path, "camera", views, "--squares", "9x7", "--square-mm", "0.3")
 
@@ -157,7 +159,7 @@ def test_a_sweep_of_another_size_than_the_camera_is_refused(good, tmp_path):
 
 def test_good_sweeps_give_the_plane_with_the_estimate_named_and_it_can_be_made_again(good, tmp_path):
     scans = [str(good / "flat"), str(good / "tilted")]
-    known = camera_file(tmp_path)
+    known = camera_file(tmp_path)[: -len(QUICK)]
     written = calibrate(tmp_path, "plane", *scans, *known)
     assert [path.name for path in written] == ["out-plane.html", "out.json"]
     plane = json.loads((tmp_path / "out.json").read_text())["light_plane"]
@@ -181,7 +183,7 @@ def test_good_sweeps_give_the_plane_with_the_estimate_named_and_it_can_be_made_a
 
 def test_a_reconstruction_with_another_estimate_uses_a_plane_that_is_made_again(good, tmp_path):
     scans = [str(good / "flat"), str(good / "tilted")]
-    calibrate(tmp_path, "plane", *scans, *camera_file(tmp_path))
+    calibrate(tmp_path, "plane", *scans, *camera_file(tmp_path), *AUTO)
     arguments = ["reconstruct", scans[0], "--calibration", str(tmp_path / "out.json"), "--method", "linear"]
     run = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "points")], standalone_mode=False)
     assert run.exception is None
@@ -194,7 +196,7 @@ def test_a_reconstruction_with_another_estimate_uses_a_plane_that_is_made_again(
 def test_where_the_sweeps_are_gone_a_reconstruction_with_another_estimate_warns(good, tmp_path):
     moved = tmp_path / "moved"
     shutil.copytree(good, moved)
-    calibrate(tmp_path, "plane", str(moved / "flat"), str(moved / "tilted"), *camera_file(tmp_path))
+    calibrate(tmp_path, "plane", str(moved / "flat"), str(moved / "tilted"), *camera_file(tmp_path), *AUTO)
     shutil.rmtree(moved / "tilted")
     arguments = ["reconstruct", str(moved / "flat"), "--calibration", str(tmp_path / "out.json"), "--method", "linear"]
     run = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "points")], standalone_mode=False)
