@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from process.calibration.quarter_circle import QuarterCircle
 
 
+DAYS = 30.0
+"""How long such a calibration is meant to be used."""
+
+
 @click.command("quarter-circle")
 @click.argument("scan", type=PATH)
 @click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
@@ -49,6 +53,7 @@ def quarter_circle(
     The corner, both straight edges and the arc are found in every frame. Points given by hand are the fall-back:
     corner in two frames or more, lead_end (end of the leading edge) and side_end (end of the other one)."""
     from acquire.contract.calibration import load_calibration
+    from acquire.contract.scan_reader import read_layout
     from process.calibration.documents import read_document, utc_now, write_document
     from process.calibration.pages import quarter_circle_page, write_page
     from process.calibration.slide_optics import Slide
@@ -61,7 +66,7 @@ def quarter_circle(
     between = _between(other, result, known, named=compare is not None)
     document = read_document(camera_file)
     document["light_plane"] = result.document()
-    document["valid_for"] = {"created_utc": utc_now()}
+    document["valid_for"] = {"created_utc": utc_now(), "days": DAYS, "zero_id": read_layout(scan).zero_id or None}
     words = quarter_circle_words(result, between)
     write_document(out, document, force=force or out == camera_file)
     page = out.with_name(f"{out.stem}-quarter-circle.html")
