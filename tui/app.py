@@ -40,7 +40,7 @@ from tui.options import ConsoleOptions, Link, LinkMaker, OnAnswer
 from tui.screens import SCREENS
 from tui.screens.actions import ActionList
 from tui.screens.base import RigScreenBase, action_name
-from tui.screens.dialogs import ConfirmQuit, Dialog
+from tui.screens.dialogs import Confirm, ConfirmQuit, Dialog
 from tui.stopping import StopWatch
 from tui.themes import THEMES
 from tui.view import RigView
@@ -390,12 +390,19 @@ class ConsoleApp(App[None]):
         self.call_later(self.run_action, action, self if screen is None or name == "" else screen)
 
     async def action_quit(self) -> None:
-        """Leave; asked first if a sweep would end with this program."""
+        """Leave; asked first if a sweep, or work on files, would end with this program."""
+        question: Confirm | None = None
         if self.options.owns_rig and is_running(self.view.status) and self.view.connected:
-            if not isinstance(self.screen, ConfirmQuit):
-                self.push_screen(ConfirmQuit(), lambda leave: self.exit() if leave else None)
-            return
-        self.exit()
+            question = ConfirmQuit()
+        elif self.jobs.work:
+            titles = [f"- {job.title}" for job in self.jobs.work]
+            question = Confirm(
+                ["This runs, and ends with the console; it can be begun again:", *titles], "end and leave"
+            )
+        if question is None:
+            self.exit()
+        elif not isinstance(self.screen, Confirm):
+            self.push_screen(question, lambda leave: self.exit() if leave else None)
 
 
 def run_console(

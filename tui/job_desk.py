@@ -29,6 +29,11 @@ class JobDesk:
         """What runs now, the oldest first."""
         return [job for job in self.board.jobs if job.running]
 
+    @property
+    def work(self) -> list[Job]:
+        """What runs now and would be missed: all but what only helps a screen."""
+        return [job for job in self.running if -job.number not in self._ended]
+
     def start(
         self,
         title: str,

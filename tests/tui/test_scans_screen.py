@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -217,3 +218,32 @@ def test_ascii_lists_have_no_other_signs(folder):
         assert stage.shown(RowList).isascii() and stage.shown(ScanDetail).isascii()
 
     play(script, screen="scans", data_dir=folder, ascii_only=True)
+
+
+def test_a_read_only_console_looks_but_changes_no_scan(folder):
+    async def script(stage):
+        stage.watch_jobs()
+        await listed(stage, "saved")
+        await stage.press(*"mndRS")
+        assert stage.started == [] and not isinstance(stage.app.screen, Form | Confirm)
+        await stage.press("v")
+        assert stage.started[0][0][0] == "verify"
+
+    play(script, screen="scans", data_dir=folder, read_only=True)
+
+
+def test_leaving_while_work_runs_is_asked_about_and_ends_it(folder):
+    async def script(stage):
+        board = stage.app.jobs.board
+        board._program = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
+        await listed(stage, "saved")
+        await stage.press("v", "q")
+        assert isinstance(stage.app.screen, Confirm) and "verify saved" in stage.painted
+        await stage.press("n")
+        assert board.running_on(str(folder / "saved"))
+        await stage.press("q", "y")
+        boards.append(board)
+
+    boards: list = []
+    play(script, screen="scans", data_dir=folder)
+    assert not any(job.running for job in boards[0].jobs)

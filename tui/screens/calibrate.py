@@ -125,7 +125,7 @@ class CalibrateScreen(RigScreenBase):
         self._show_sweeps()
         self._guide.border_title = "2 of 2: light plane" if self._plane_step else "1 of 2: camera"
         self._guide.show(self._guide_view(view))
-        self._jobs.show([job for job in self.shell.jobs.running if job.subject != WATCH])
+        self._jobs.show(self.shell.jobs.work)
         self._watch_or_not(view)
 
     def _show_picture(self, view: RigView) -> None:

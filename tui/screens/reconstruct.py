@@ -122,7 +122,7 @@ class ReconstructScreen(RigScreenBase):
             self._take(maps_of_sweep(view.maps, view.progress))
         else:
             self._draw()
-        self._jobs.show(self.shell.jobs.running)
+        self._jobs.show(self.shell.jobs.work)
 
     def _take(self, maps: MapSet) -> None:
         self._maps, self._problem = maps, ""

@@ -29,6 +29,7 @@ from tui.widgets.job_lines import JobLines
 from tui.widgets.rows import RowList
 from tui.widgets.scan_rows import ScanDetail, columns_of, row_of
 
+CHANGES_SCANS = frozenset({"reprocess", "notes", "trash", "recover", "seal"})
 LOOK_S = 2.0
 """How often the folder is looked at while this screen is in view."""
 
@@ -116,7 +117,7 @@ class ScansScreen(RigScreenBase):
         self._list.show(header, rows, [str(entry.folder) for entry in self._entries])
         self._list.border_title = self._title()
         self._show_detail()
-        self._jobs.show(self.shell.jobs.running)
+        self._jobs.show(self.shell.jobs.work)
 
     def _title(self) -> str:
         if not self._entries or self._folder is None:
@@ -141,6 +142,12 @@ class ScansScreen(RigScreenBase):
         return next((entry for entry in self._entries if str(entry.folder) == key), None)
 
     # ---- what can be done ----
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """A read-only console changes no scan either."""
+        if action in CHANGES_SCANS and self.shell.read_only:
+            return False
+        return super().check_action(action, parameters)
 
     def why_not(self, action: str) -> str:
         """The chosen scan's state decides."""
