@@ -13,18 +13,16 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.states import Outcome
 from acquire.contract.units import NS_PER_S
 
 from .delivery import Delivery
-from .exports import View, page_html, ply_bytes
+from .exports import View
 from .feed import Snapshot, TileNews
+from .files import file_of, report_of, screenshot_of
 from .library import Entry, Opened, list_scans, open_scan, read_report
 from .tiles import Tile
 from .widgets import write
@@ -33,7 +31,6 @@ LIVE = "the rig's own"
 LIST_NS = 5 * NS_PER_S
 RENDER_TIMEOUT_S = 8.0
 WAITING = 32
-BACKGROUND = 20.0
 
 
 class ScansPanel:
@@ -61,7 +58,11 @@ class ScansPanel:
         self._follow = gui.add_checkbox("Follow new scans", True, hint="Go back to the rig's when a sweep starts")
         self._text = gui.add_html("")
         with gui.add_folder("Take away"):
-            files = gui.add_button_group("Files", ("PLY", "Page", "Figure"), hint="The cloud; one offline page; a PNG")
+            files = gui.add_button_group(
+                "Files",
+                ("PLY", "3D page", "Report", "Figure"),
+                hint="The cloud; it and its numbers in one offline page; the scan's report; a PNG",
+            )
             picture = gui.add_button("Screenshot", icon=viser.Icon.CAMERA)
         self._which.on_update(self._choose)
         files.on_click(self._export)
@@ -97,7 +98,8 @@ class ScansPanel:
 
         def ended(future: Future[None]) -> None:
             if not future.cancelled() and (error := future.exception()) is not None:
-                words = f"that did not work: {type(error).__name__}: {error}"
+                kind = "" if isinstance(error, SweepscopeError) else f"{type(error).__name__}: "
+                words = f"that did not work: {kind}{error}"
                 self._put(lambda: self._say(words))
 
         with contextlib.suppress(RuntimeError):  # the page is being closed
@@ -119,8 +121,12 @@ class ScansPanel:
         self._put(lambda: self._show(label, opened))
 
     def _make(self, kind: str, view: View, client: viser.ClientHandle) -> None:
-        name, content = _file(kind, view)
+        name, content = file_of(kind, view)
         self._put(lambda: self._hand_over(client, name, content))
+
+    def _make_report(self, folder: Path | None, title: str, client: viser.ClientHandle) -> None:
+        content = report_of(folder)
+        self._put(lambda: self._hand_over(client, f"{title}-report.html", content))
 
     def _render(self, client: viser.ClientHandle) -> None:
         camera = client.camera
@@ -129,7 +135,7 @@ class ScansPanel:
             pixels = client.get_render(height, width, timeout=RENDER_TIMEOUT_S)
         except (RuntimeError, TimeoutError):
             return  # the browser is gone, or its tab is in the background
-        content = cv2.imencode(".png", _on_black(pixels))[1].tobytes()
+        content = screenshot_of(pixels)
         self._put(lambda: self._hand_over(client, "sweepscope.png", content))
 
     # ---- in the main loop ----
@@ -211,13 +217,21 @@ class ScansPanel:
             legend=cloud.legend(),
             facts=self._facts(),
         )
-        self._submit(self._make, kind, view, client)
+        if kind == "Report":
+            self._submit(self._make_report, self._folder(), self.title, client)
+        else:
+            self._submit(self._make, kind, view, client)
+
+    def _folder(self) -> Path | None:
+        """Of the shown scan."""
+        if self.opened is not None:
+            return self.opened.entry.folder
+        status = self._snapshot.status
+        return Path(status.scan_path) if status is not None and status.scan_path else None
 
     def _facts(self) -> list[tuple[str, str]]:
         """Outcome, numbers and settings, as the report has them."""
-        status = self._snapshot.status
-        live = Path(status.scan_path) if status is not None and status.scan_path else None
-        folder = self.opened.entry.folder if self.opened is not None else live
+        folder = self._folder()
         report = read_report(folder) if folder is not None else {}
         facts = [("Outcome", str(report["outcome"]))] if "outcome" in report else [("Outcome", "still running")]
         for part, names in (("counts", ("frames", "missing", "points")), ("settings", ("method", "contrast", "edge"))):
@@ -262,23 +276,3 @@ class ScansPanel:
 
     def _say(self, words: str) -> None:
         write(self._text, content=f'<div class="sw"><div class="sw-beat">{escape(words)}</div></div>' if words else "")
-
-
-def _on_black(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A rendering [h, w, 3 or 4] RGB(A) as BGR before the dark that the page shows behind it."""
-    if pixels.shape[2] == 3:
-        return np.ascontiguousarray(pixels[:, :, ::-1])
-    share = pixels[:, :, 3:] / 255.0
-    mixed = share * pixels[:, :, 2::-1] + (1 - share) * BACKGROUND
-    return mixed.astype(np.uint8)
-
-
-def _file(kind: str, view: View) -> tuple[str, bytes]:
-    """Name and content of an export."""
-    if kind == "PLY":
-        return f"{view.title}.ply", ply_bytes(view.tiles)
-    if kind == "Page":
-        return f"{view.title}.html", page_html(view).encode()
-    from .figure import figure_png  # noqa: PLC0415 - matplotlib takes half a second, and few ask for a figure
-
-    return f"{view.title}.png", figure_png(view)

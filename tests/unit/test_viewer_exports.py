@@ -18,9 +18,9 @@ from process.viewer.cloud import Cloud
 from process.viewer.exports import View, page_html, ply_bytes
 from process.viewer.feed import Snapshot, TileNews
 from process.viewer.figure import figure_png
+from process.viewer.files import on_black, report_of
 from process.viewer.library import list_scans, open_scan
 from process.viewer.look import Look
-from process.viewer.scans_panel import _on_black
 from process.viewer.tiles import Tile
 from tests.fakes.fake_results import hill_tiles
 
@@ -118,7 +118,14 @@ def test_the_figure_shows_the_cloud_in_the_colours_of_the_page() -> None:
 def test_a_rendering_without_background_gets_that_of_the_page() -> None:
     half = np.zeros((1, 2, 4), np.uint8)
     half[0, 1] = (200, 100, 50, 255)
-    assert _on_black(half)[0].tolist() == [[20, 20, 20], [50, 100, 200]]
+    assert on_black(half)[0].tolist() == [[20, 20, 20], [50, 100, 200]]
+
+
+def test_a_report_of_a_scan_without_results_is_refused_in_one_line(data_dir: Path) -> None:
+    for folder in (None, data_dir / "20260102T030405Z-frog"):
+        with pytest.raises(ScanFileError) as caught:
+            report_of(folder)
+        assert "\n" not in str(caught.value)
 
 
 def test_going_back_to_the_rigs_own_scan_shows_what_came_meanwhile(data_dir: Path) -> None:
