@@ -311,7 +311,7 @@ class ConsoleApp(App[None]):
             if event.key == STOP_KEY:
                 self.action_stop()
                 return
-            if isinstance(self.screen, Dialog) and not self.screen.may_take(event.key):
+            if isinstance(self.screen, Dialog) and not self.screen.may_take(event.key, self.now_s()):
                 return
         await super().on_event(event)
 
@@ -423,7 +423,7 @@ def run_console(
     app = ConsoleApp(make_link, options, on_started=on_started, driver_class=ConsoleDriver)
     if run_dir is not None:
         app.jobs.board.environ["SWEEPSCOPE_RUN"] = str(run_dir)
-    app.run(mouse=False)
+    app.run(mouse=options.mouse)
     if app.return_code:
         print("the console ended by an error; if the terminal looks odd, type: reset", file=sys.stderr)
     return app.return_code or 0

@@ -53,5 +53,7 @@ class ConsoleOptions:
     data_dir: Path = field(default_factory=lambda: Path("~/sweepscope-scans").expanduser())
     """Folder of all scans."""
     theme: str = "sweepscope-dark"
+    mouse: bool = False
+    """Let the mouse press what can be pressed; off by default: a line that drops leaves its reports on."""
     picture: str = "half"
     """``half``, ``mono`` or ``off``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable
 
 import msgspec
@@ -26,13 +27,19 @@ FAULT = FaultReport(
 
 
 def drive(
-    script: Callable[[Stage], Awaitable[None]], *, size=(80, 24), owns_rig=False, ascii_only=False, read_only=False
+    script: Callable[[Stage], Awaitable[None]],
+    *,
+    size=(80, 24),
+    owns_rig=False,
+    ascii_only=False,
+    read_only=False,
+    now_s=time.monotonic,
 ) -> None:
     """Run the console without a terminal and play ``script``."""
 
     async def play() -> None:
         options = ConsoleOptions(owns_rig=owns_rig, ascii_only=ascii_only, read_only=read_only, me=ME)
-        app = ConsoleApp(FakeLink, options, clock=lambda: "12:00:00")
+        app = ConsoleApp(FakeLink, options, clock=lambda: "12:00:00", now_s=now_s)
         async with app.run_test(size=size) as pilot:
             await script(Stage(app, pilot))
 
@@ -272,12 +279,17 @@ def test_quitting_a_console_that_owns_the_rig_asks_while_a_sweep_runs():
 
 
 def test_an_answer_typed_before_the_question_could_be_read_does_not_count():
+    now_s = [100.0]
+
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("q", "y")
         assert isinstance(stage.app.screen, ConfirmQuit)
+        now_s[0] += 0.4
+        await stage.press("y")
+        assert not isinstance(stage.app.screen, ConfirmQuit)
 
-    drive(script, owns_rig=True)
+    drive(script, owns_rig=True, now_s=lambda: now_s[0])
 
 
 def test_quitting_a_plain_console_never_asks():

@@ -248,6 +248,20 @@ def test_pictures_are_wanted_only_while_a_screen_shows_them():
     drive(script)
 
 
+def test_screens_and_keys_can_be_clicked():
+    async def script(stage):
+        await stage.connect()
+        await stage.pilot.click(Header, offset=(60, 1))
+        await stage.pilot.pause()
+        assert stage.app.rig_screen.NAME == "log"
+        await stage.press("1")
+        await stage.pilot.click(KeyLine, offset=(3, 0))
+        await stage.pilot.pause()
+        assert isinstance(stage.app.screen, Form)
+
+    drive(script)
+
+
 KEYS = [
     *"abcdefghijklmnoprstuvwxyzLTV123456789?:.,<>[]_-",
     *("space", "enter", "escape", "tab", "up", "down", "left", "right", "pageup", "pagedown", "backspace", "ctrl+t"),

@@ -77,9 +77,16 @@ def viewer(session: Session, port: int | None) -> None:
     help="Colours to use; auto asks COLORTERM, TERM and NO_COLOR.",
 )
 @click.option("--theme", type=click.Choice(["dark", "light", "contrast"]), default="dark", show_default=True)
+@click.option("--mouse", is_flag=True, help="Keys, screens and lists can be clicked; never needed.")
 @click.pass_context
 def console(
-    context: click.Context, ascii_only: bool, read_only: bool, picture: str | None, colours: str, theme: str
+    context: click.Context,
+    ascii_only: bool,
+    read_only: bool,
+    picture: str | None,
+    colours: str,
+    theme: str,
+    mouse: bool,
 ) -> int:
     """Show and steer the rig in this terminal.
 
@@ -98,6 +105,7 @@ def console(
         config,
         ascii_only=ascii_only,
         read_only=read_only,
+        mouse=mouse,
         picture=picture or picture_mode(settled, ascii_only=ascii_only),
         theme=f"sweepscope-{theme}",
     )

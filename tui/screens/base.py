@@ -13,7 +13,7 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from tui.view import RigView
-from tui.widgets.frame import FaultBanner, Header, KeyLine, NewsLine
+from tui.widgets.frame import FaultBanner, Header, KeyLine, NewsLine, Offer
 
 if TYPE_CHECKING:
     from tui.app import ConsoleApp
@@ -133,14 +133,19 @@ class RigScreenBase(Screen[None]):
         self.show(view)
         keys.show(self.offers())  # what can be done may depend on what is shown now
 
-    def offers(self) -> list[tuple[str, str]]:
-        """Key and words of everything that can be done now; what the panes show beside its value comes last."""
+    def offers(self) -> list[Offer]:
+        """What can be done now; what the panes show beside its value comes last."""
         last = {binding.action for binding in self.actions() if binding.id in self.IN_PANES}
         return [
-            (self.shell.key_words(binding), binding.description)
+            (self.shell.key_words(binding), binding.description, self._addressed(binding.action))
             for binding in sorted(self.actions(), key=lambda binding: binding.action in last)
             if not self.why_not_now(binding.action)
         ]
+
+    def _addressed(self, action: str) -> str:
+        if "." in action.partition("(")[0]:
+            return action
+        return f"{'screen' if hasattr(self, f'action_{action_name(action)}') else 'app'}.{action}"
 
     def actions(self) -> list[Binding]:
         """Everything that this screen can ever do, for help and palette."""

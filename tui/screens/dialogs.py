@@ -35,11 +35,18 @@ class Dialog(ModalScreen[R]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._opened_s = time.monotonic()
+        self._asked_s: float | None = None
 
-    def may_take(self, key: str) -> bool:
+    def may_take(self, key: str, now_s: float) -> bool:
         """False for a key that must have been typed before the dialog was there."""
-        return not self.DANGEROUS or key in ("n", "escape") or time.monotonic() - self._opened_s >= TYPE_AHEAD_S
+        if self._asked_s is None:
+            self._asked_s = now_s
+        return not self.DANGEROUS or key in ("n", "escape") or now_s - self._asked_s >= TYPE_AHEAD_S
+
+    def on_mount(self) -> None:
+        """From now on it can be read."""
+        if self._asked_s is None:
+            self._asked_s = getattr(self.app, "now_s", time.monotonic)()
 
     def action_leave(self) -> None:
         """Change nothing."""

@@ -105,8 +105,7 @@ class ScanScreen(RigScreenBase):
         self._stage.fine_steps, self._plan.draft = self._fine_steps, self.shell.draft
         self._progress.note(view, self.shell.now_s())
         for pane in (self._stage, self._light, self._plan, self._progress):
-            pane.view = view
-            pane.changed()
+            pane.show(view)
         self._log.show(self.shell.logbook)
         self._show_picture(view)
         self._go_on_jogging(view)

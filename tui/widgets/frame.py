@@ -11,7 +11,7 @@ from tui.fit import shorten
 from tui.logbook import LogLine
 from tui.screens import SCREENS
 from tui.view import RigView
-from tui.widgets.lines import Lines
+from tui.widgets.lines import Lines, PressableLines
 from tui.words import UNKNOWN_SIGN, newest_fault, sign_of, state_words
 
 NOT_CONNECTED = "not connected - retrying"
@@ -25,7 +25,11 @@ STATE_STYLES = {
 }
 
 
-class Header(Lines):
+Offer = tuple[str, str, str]
+"""Key, words, and the action with its namespace, for the mouse."""
+
+
+class Header(PressableLines):
     """State and devices; the screens; the address of the page while there is one."""
 
     DEFAULT_CSS = """
@@ -77,10 +81,12 @@ class Header(Lines):
         return f"{status.stage_kind} stage  {status.camera_kind} camera  lamp {lamp}"
 
     def _tabs_line(self, width: int) -> Text:
+        self.forget_places()
         text = Text(no_wrap=True)
         for number, entry in enumerate(SCREENS, 1):
             here = entry.name == self._name
             text.append(f" {number} {entry.name} ", style="bold reverse" if here else "dim")
+            self.place(1, text.cell_len - len(entry.name) - 4, text.cell_len, f"app.go('{entry.name}')")
         right = self._control_words()
         gap = width - text.cell_len - len(right)
         if gap < 1:  # the holder matters more than the tabs, whose numbers stay known
@@ -152,7 +158,7 @@ class NewsLine(Lines):
         return Text(shorten(f"{self._line.at} {self._line.text}", width), LEVEL_STYLES[self._line.level], no_wrap=True)
 
 
-class KeyLine(Lines):
+class KeyLine(PressableLines):
     """The keys that mean something now; help and STOP are there at any width."""
 
     DEFAULT_CSS = "KeyLine { dock: bottom; height: 2; background: $panel; padding: 0 1; }"
@@ -160,9 +166,9 @@ class KeyLine(Lines):
 
     def __init__(self, *, ascii_only: bool = False) -> None:
         super().__init__(id="keys", ascii_only=ascii_only)
-        self._offers: list[tuple[str, str]] = []
+        self._offers: list[Offer] = []
 
-    def show(self, offers: list[tuple[str, str]]) -> None:
+    def show(self, offers: list[Offer]) -> None:
         """Take key and words of everything that can be done now."""
         self._offers = offers
         self.changed()
@@ -170,25 +176,29 @@ class KeyLine(Lines):
     def text_for(self, width: int) -> Text:
         """As many lines as the widget is high; the last one ends with what is pinned."""
         lines, left = _fill(self._offers, [width, width - len(self.PINNED) - 12])
+        self.forget_places()
         text = Text(no_wrap=True)
         for number, line in enumerate(lines):
             if number:
                 more = f"+{left}  " if left else ""
                 text.append("\n")
-                used = sum(len(key) + len(words) + 3 for key, words in line)
+                used = sum(len(key) + len(words) + 3 for key, words, _ in line)
                 tail = " " * max(1, width - used - len(more) - len(self.PINNED))
-            for key, words in line:
+            x = 0
+            for key, words, action in line:
                 text.append(key, style="bold").append(f" {words}  ", style="dim")
+                self.place(number, x, x + len(key) + len(words) + 1, action)
+                x += len(key) + len(words) + 3
         text.append(tail + more, style="dim").append("? help", style="bold").append("   ")
         return text.append("SPACE = STOP", style="bold red")
 
 
-def _fill(offers: list[tuple[str, str]], widths: Sequence[int]) -> tuple[list[list[tuple[str, str]]], int]:
+def _fill(offers: list[Offer], widths: Sequence[int]) -> tuple[list[list[Offer]], int]:
     """The offers that fit into lines of ``widths``, in order, and how many do not."""
-    lines: list[list[tuple[str, str]]] = []
+    lines: list[list[Offer]] = []
     waiting = list(offers)
     for width in widths:
-        line: list[tuple[str, str]] = []
+        line: list[Offer] = []
         used = 0
         while waiting and used + len(waiting[0][0]) + len(waiting[0][1]) + 1 <= width:
             used += len(waiting[0][0]) + len(waiting[0][1]) + 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rich.text import Text
+from textual.events import Click
 from textual.widget import Widget
 
 KEY_STYLE = "bold #f0b429"
@@ -39,6 +40,31 @@ class Lines(Widget):
     def plain(self) -> str:
         """The text without styles, as it would be painted now."""
         return self.text_for(self.content_size.width).plain
+
+
+class PressableLines(Lines):
+    """Lines in which places can be clicked."""
+
+    def __init__(self, *, id: str, ascii_only: bool = False) -> None:  # noqa: A002
+        super().__init__(id=id, ascii_only=ascii_only)
+        self._places: list[tuple[int, int, int, str]] = []
+
+    def place(self, row: int, begin: int, end: int, action: str) -> None:
+        """What a click on the cells ``begin`` to ``end`` of a row does."""
+        self._places.append((row, begin, end, action))
+
+    def forget_places(self) -> None:
+        """Another text is made."""
+        self._places.clear()
+
+    async def on_click(self, event: Click) -> None:
+        """Do what stands there."""
+        at = event.get_content_offset(self)
+        for row, begin, end, action in self._places:
+            if at is not None and at.y == row and begin <= at.x < end:
+                event.stop()
+                await self.app.run_action(action)
+                return
 
 
 KeyOf = Callable[[str], tuple[str, bool]]

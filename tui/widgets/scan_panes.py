@@ -35,11 +35,15 @@ class _Pane(KeyedLines):
             return Text(NOT_CONNECTED, style="dim")
         text = Text(no_wrap=True, style="" if self.view.connected else "dim")
         self.fill(text, status, width)
-        if not self.view.connected:
-            self.border_subtitle = NOT_CONNECTED
-        elif self.border_subtitle:
-            self.border_subtitle = ""
         return text
+
+    def show(self, view: RigView) -> None:
+        """Take the newest values."""
+        self.view = view
+        words = "" if view.connected or view.status is None else NOT_CONNECTED
+        if words != (self.border_subtitle or ""):
+            self.border_subtitle = words
+        self.changed()
 
     def fill(self, text: Text, status: Status, width: int) -> None:
         """Append the lines."""
