@@ -50,7 +50,7 @@ STOP_KEY = "space"
 LOOK_S = 0.5
 RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last word."""
-HARMLESS = frozenset({"stop", "status", "estimate", "acknowledge"})
+HARMLESS = frozenset({"stop", "status", "estimate"})
 """Commands that a read-only console may send: none of them moves anything (STOP is everybody's)."""
 
 
@@ -283,8 +283,8 @@ class ConsoleApp(App[None]):
         return ""
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """A read-only console has no control to take."""
-        return not (action == "control" and self.read_only)
+        """A read-only console has no control to take, and lets no rig out of a fault."""
+        return not (action in ("control", "acknowledge") and self.read_only)
 
     async def run_action(
         self, action: Any, default_namespace: DOMNode | None = None, namespaces: Mapping[str, DOMNode] | None = None
