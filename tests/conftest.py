@@ -6,6 +6,7 @@ import asyncio
 import gc
 import os
 import shutil
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,10 @@ import pytest
 
 GRACE_S = 3.0
 """What a test started may take so long to go away after the test's end."""
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # begun in the background of a script: what tests start must hear Ctrl-C all the same
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _LASTING_THREADS = ("pymon", "asyncio_", "ThreadPoolExecutor", "numba", "playwright")
 
@@ -93,6 +98,8 @@ def run_dir() -> Iterator[Path]:
 @pytest.fixture(autouse=True)
 def clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """No stray configuration of the machine reaches a test."""
+    for name in ("COLUMNS", "LINES"):
+        monkeypatch.delenv(name, raising=False)
     for name in list(os.environ):
         if name.startswith("SWEEPSCOPE_") and name != "SWEEPSCOPE_TEST_DATA":
             monkeypatch.delenv(name)

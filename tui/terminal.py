@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Mapping, MutableMapping
 
@@ -64,8 +65,16 @@ def choose_colours(wanted: str, environ: MutableMapping[str, str] = os.environ) 
     return colours
 
 
-def prepare_terminal(environ: Mapping[str, str] = os.environ) -> None:
-    """Quieten the terminal before Textual starts: mouse reports left on by a lost link, paint rate over SSH."""
+def prepare_terminal(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Quieten the terminal before Textual starts: mouse reports left on by a lost link, paint rate over SSH.
+
+    A size that somebody has exported would be believed for ever, whatever becomes of the window: it is forgotten. Where
+    Ctrl-C was ignored when this began (in the background of a script), it is not for the programs that it starts.
+    """
+    for name in ("COLUMNS", "LINES"):
+        environ.pop(name, None)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.stderr.write(_MOUSE_OFF)
     sys.stderr.flush()
     os.environ.setdefault("TEXTUAL_ANIMATIONS", "none")

@@ -27,13 +27,13 @@ def test_a_benchmark_without_services_gives_up_in_time(monkeypatch: pytest.Monke
         bench.bench_pipeline(4, (48, 64))
 
 
-def test_nothing_is_left_of_a_benchmark(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(bench.tempfile, "tempdir", str(tmp_path))
+def test_nothing_is_left_of_a_benchmark(monkeypatch: pytest.MonkeyPatch, run_dir: Path) -> None:
+    monkeypatch.setattr(bench.tempfile, "tempdir", str(run_dir))
     monkeypatch.setattr(bench, "_SERVICES", ())
     monkeypatch.setattr(bench_publisher, "READY_S", 0.1)
     with pytest.raises(NoServiceError):
         bench.bench_pipeline(4, (48, 64))
-    assert list(tmp_path.iterdir()) == []
+    assert list(run_dir.iterdir()) == []
 
 
 def test_frames_that_do_not_fit_into_memory_are_repeated(monkeypatch: pytest.MonkeyPatch) -> None:

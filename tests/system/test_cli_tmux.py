@@ -170,3 +170,12 @@ def _open_logs(process: psutil.Process) -> str:
         return os.readlink(f"/proc/{process.pid}/fd/1")  # noqa: PTH115
     except OSError:
         return ""
+
+
+def test_an_exported_size_does_not_keep_the_console_from_following_its_window(terminal, run_dir):
+    with FakeDaemon(run_dir):
+        terminal.open("COLUMNS=80", "LINES=24", *CONSOLE, width=160, height=50)
+        screen = terminal.wait_for("SPACE = STOP")
+        assert max(map(len, screen.splitlines())) > 100
+        terminal.press("q")
+        terminal.wait_for("STATUS=0")
