@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
@@ -163,4 +164,16 @@ def parse_request(name: str, args: dict[str, Any]) -> msgspec.Struct:
     try:
         return msgspec.convert(args, struct, strict=True)
     except msgspec.ValidationError as error:
-        raise CommandRefusedError(f"{name}: {error}") from None
+        raise CommandRefusedError(f"{name}: {_plainly(str(error))}") from None
+
+
+_KINDS = {"float": "a number", "int": "a whole number", "str": "a text", "bool": "true or false", "array": "a list"}
+
+
+def _plainly(complaint: str) -> str:
+    """msgspec's words for a value that does not fit, for people: ``gain must be a number <= 48.0``."""
+    found = re.fullmatch(r"Expected `(\w+)(?: \| null)?`(.*?)(?:, got `\w+`)? - at `\$\.(\w+)`", complaint)
+    if found is None:
+        return complaint
+    kind, bound, field = found.groups()
+    return f"{field} must be {_KINDS.get(kind, kind)}{bound}"

@@ -99,3 +99,18 @@ def test_a_window_that_holds_no_two_frames_is_refused():
     config = load_config(overrides={"limits.window_bytes": 1_000_000}, environ={})
     with pytest.raises(CommandRefusedError, match="window_bytes"):
         window_slots(config, FrameFormat(width=1024, height=768, bit_depth=8))
+
+
+@pytest.mark.parametrize(
+    ("name", "args", "words"),
+    [
+        ("camera", {"gain": 99}, "camera: gain must be a number <= 48.0"),
+        ("jog", {"steps": 1.5}, "jog: steps must be a whole number"),
+        ("preview", {"on": 3}, "preview: on must be true or false"),
+        ("jog", {}, "jog: Object missing required field `steps`"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_in_words_for_people(name, args, words):
+    with pytest.raises(CommandRefusedError) as refused:
+        parse_request(name, args)
+    assert str(refused.value) == words
