@@ -160,7 +160,10 @@ def test_a_far_console_needs_a_key_that_the_rig_knows_and_nobody_reads_the_rigs_
             root.run("sweepscope", "keys", "allow", user, key)
     root.until(lambda: show(root, "gateway", "ActiveState") == "active", "the gateway finds its key")
     where = ("--connect", f"tcp://127.0.0.1:{GATE_PORT}", "--server-key", rigs_key)
-    assert json.loads(far(root, "microscopist", "status", "--json", *where).stdout)["state"] == "idle"
+    # the gateway looks at its list of keys once a second
+    known = ("status", "--json", *where)
+    root.until(lambda: not far(root, "microscopist", *known, check=False).returncode, "the gateway knows the key")
+    assert json.loads(far(root, "microscopist", *known).stdout)["state"] == "idle"
     assert far(root, "stranger", "status", *where, check=False).returncode == 3
     for user in ("microscopist", "stranger"):
         assert root.run("cat", "/etc/sweepscope/keys/server.key", user=user, check=False).returncode
