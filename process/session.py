@@ -48,8 +48,10 @@ class ScanSession:
         self.form = announced.recorded.format
         self.settings = live_settings(announced.recorded)
         check_memory(self.form, fold_bytes)
+        # of this scan's values, not of this object: a cycle would keep fold and mapped file until the collector comes
+        settings, form = self.settings, self.form
         room = min(max(BUFFER_BYTES // self.form.nbytes, 4), 64)
-        self.cursor = FoldCursor(lambda: new_fold(self.settings, self.form, announced.count), announced.count, room)
+        self.cursor = FoldCursor(lambda: new_fold(settings, form, announced.count), announced.count, room)
         self._ahead = Ahead(self.settings, self.form)
         self.gate = LiveGate(announced)
         self.timings = Timings()

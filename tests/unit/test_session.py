@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,6 +67,27 @@ def end(session: ScanSession, source: SweepSource, outcome: Outcome = Outcome.CO
 def maps_of(folder: Path) -> dict[str, np.ndarray]:
     with h5py.File(folder / "maps.h5") as file:
         return {name: file[name][()] for name in file}
+
+
+def test_a_scan_that_is_over_gives_its_memory_back_at_once(source, clock):
+    gc.collect()
+    gc.disable()
+    try:
+        session = ScanSession(announced_by_start(source.start_message), LIMIT, clock)
+        for index in range(FRAMES):
+            give(session, source, index)
+            source.take(index)
+        session.fill()
+        while session.may_work_ahead:
+            session.work_ahead()
+        end(session, source)
+        session.finish()
+        session.close()
+        gone = [weakref.ref(session), weakref.ref(session.cursor.fold)]
+        del session
+        assert [ref() for ref in gone] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_a_frame_that_raises_is_folded_again_from_the_file_with_the_same_result(
