@@ -33,6 +33,11 @@ class Stage:
         return self.app.rig_screen
 
     @property
+    def sent(self) -> list[tuple[str, dict]]:
+        """Commands, but for the questions that the scan screen asks by itself."""
+        return [(name, args) for name, args in self.link.sent if name != "estimate"]
+
+    @property
     def log(self) -> str:
         return "\n".join(line.text for line in self.app.logbook.lines)
 

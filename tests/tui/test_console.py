@@ -12,6 +12,7 @@ from acquire.contract.messages import FaultReport, ResultEnd
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.fake_link import FakeLink
+from tests.tui.stage import ME, Stage
 from tui.app import ConsoleApp, ConsoleOptions
 from tui.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, ResultsOnDisk, StatusArrived
 from tui.screens.actions import ActionList
@@ -19,7 +20,6 @@ from tui.screens.dialogs import ConfirmQuit, Form
 from tui.widgets.frame import FaultBanner, Header, KeyLine
 from tui.widgets.scan_panes import PlanPane, ProgressPane, StagePane
 
-ME = "anna on pts/3"
 URL = "http://127.0.0.1:8080/?token=secret"
 FAULT = FaultReport(
     code="F03", happened="the writer is lost", safe="410 of 527 frames are saved", to_do="nothing", at_mono_ns=7
@@ -44,38 +44,6 @@ def drive(
             await script(Stage(app, pilot))
 
     asyncio.run(asyncio.wait_for(play(), 20))
-
-
-class Stage:
-    """A running console, what it sent, and what it shows."""
-
-    def __init__(self, app: ConsoleApp, pilot) -> None:
-        self.app, self.pilot = app, pilot
-        self.link: FakeLink = app._link  # type: ignore[assignment]
-
-    async def hear(self, *messages) -> None:
-        for message in messages:
-            self.app.post_message(message)
-        await self.pilot.pause()
-
-    async def connect(self, status=IDLE) -> None:
-        await self.hear(LinkChanged(True, "/run/x"), StatusArrived(status))
-
-    async def press(self, *keys: str) -> None:
-        await self.pilot.press(*keys)
-        await self.pilot.pause()
-
-    def shown(self, pane) -> str:
-        return self.app.rig_screen.query_one(pane).plain
-
-    @property
-    def sent(self) -> list[tuple[str, dict]]:
-        """Commands, but for the questions that the scan screen asks by itself."""
-        return [(name, args) for name, args in self.link.sent if name != "estimate"]
-
-    @property
-    def log(self) -> str:
-        return "\n".join(line.text for line in self.app.logbook.lines)
 
 
 def replace(status, **changes):

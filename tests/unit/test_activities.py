@@ -17,21 +17,6 @@ OVER_THE_SPECIMEN = 700
 BY_HAND = {"sweep__max_rate_hz": 15.0}
 
 
-@pytest.fixture
-def start(run_dir, tmp_path):
-    """Start a rig with these settings (dots as double underscores)."""
-    rigs = []
-
-    def call(**settings) -> RigInProcess:
-        dotted = {name.replace("__", "."): value for name, value in settings.items()}
-        rigs.append(RigInProcess(run_dir, tmp_path / "scans", dotted).__enter__())
-        return rigs[-1]
-
-    yield call
-    for rig in rigs:
-        rig.__exit__()
-
-
 def light_on(rig: RigInProcess) -> None:
     rig.ask("lamp", on=True)
     rig.ask("goto", position_steps=OVER_THE_SPECIMEN)
@@ -46,8 +31,8 @@ def ended(rig: RigInProcess) -> dict:
 
 
 @pytest.mark.parametrize("exposure_ms", [0.1, 60.0])
-def test_the_exposure_is_found_from_far_below_and_far_above_and_told(start, exposure_ms):
-    rig = start(**BY_HAND, camera__exposure_ms=exposure_ms)
+def test_the_exposure_is_found_from_far_below_and_far_above_and_told(start_rig, exposure_ms):
+    rig = start_rig(**BY_HAND, camera__exposure_ms=exposure_ms)
     light_on(rig)
     watcher = rig.watch()
     assert rig.ask("expose")["longest_ms"] == 60.0
@@ -67,8 +52,8 @@ def test_the_exposure_is_found_from_far_below_and_far_above_and_told(start, expo
         ({"camera__brightness_percent": 100.0}, "satur"),
     ],
 )
-def test_without_a_good_exposure_it_fails_in_words_and_stays_as_it_was(start, settings, words):
-    rig = start(**BY_HAND | settings)
+def test_without_a_good_exposure_it_fails_in_words_and_stays_as_it_was(start_rig, settings, words):
+    rig = start_rig(**BY_HAND | settings)
     light_on(rig)
     rig.ask("expose")
     status = ended(rig)
@@ -76,8 +61,8 @@ def test_without_a_good_exposure_it_fails_in_words_and_stays_as_it_was(start, se
     assert status["camera"]["exposure_ms"] == 30 and status["counters"]["activities_failed"] == 1
 
 
-def test_the_exposure_is_not_searched_in_the_dark_nor_while_the_lamp_warms_up(start):
-    rig = start(lamp__warm_up_s=3000.0)
+def test_the_exposure_is_not_searched_in_the_dark_nor_while_the_lamp_warms_up(start_rig):
+    rig = start_rig(lamp__warm_up_s=3000.0)
     with pytest.raises(CommandRefusedError, match="the lamp is off; switch it on and bring the light over"):
         rig.ask("expose")
     rig.ask("lamp", on=True)
@@ -85,25 +70,25 @@ def test_the_exposure_is_not_searched_in_the_dark_nor_while_the_lamp_warms_up(st
         rig.ask("expose")
 
 
-def test_a_camera_that_gives_no_picture_ends_the_search_in_words(start):
+def test_a_camera_that_gives_no_picture_ends_the_search_in_words(start_rig):
     lost = ",".join(f"lose:{n}" for n in range(40))
-    rig = start(**BY_HAND, simulation__faults=lost, camera__frame_timeout_ms=50.0)
+    rig = start_rig(**BY_HAND, simulation__faults=lost, camera__frame_timeout_ms=50.0)
     light_on(rig)
     rig.ask("expose")
     assert "no usable picture came" in ended(rig)["message"]
 
 
 @pytest.mark.parametrize("damage", ["shape", "type"])
-def test_a_damaged_picture_is_counted_and_judged_by_nobody(start, damage):
-    rig = start(**BY_HAND, simulation__faults=f"{damage}:1")
+def test_a_damaged_picture_is_counted_and_judged_by_nobody(start_rig, damage):
+    rig = start_rig(**BY_HAND, simulation__faults=f"{damage}:1")
     rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
     status = ended(rig)
     assert "no usable picture came at look 2 of 4" in status["message"]
     assert status["counters"]["pictures_damaged"] == 1 and status["proposal"] is None
 
 
-def test_a_camera_that_fails_while_the_exposure_is_searched_ends_it_and_not_the_daemon(start, monkeypatch):
-    rig = start(**BY_HAND, camera__exposure_ms=1.0)
+def test_a_camera_that_fails_while_the_exposure_is_searched_ends_it_and_not_the_daemon(start_rig, monkeypatch):
+    rig = start_rig(**BY_HAND, camera__exposure_ms=1.0)
     light_on(rig)
 
     def refuse(_settings):
@@ -135,8 +120,8 @@ def test_the_black_level_is_not_taken_for_light():
 # ---- pre-scan ----
 
 
-def test_a_prescan_proposes_bounds_just_outside_the_light_on_the_specimen(start):
-    rig = start(**BY_HAND, simulation__object="dome")
+def test_a_prescan_proposes_bounds_just_outside_the_light_on_the_specimen(start_rig):
+    rig = start_rig(**BY_HAND, simulation__object="dome")
     assert rig.ask("prescan", first_steps=0, last_steps=1578, every_steps=60)["looks"] == 28
     assert rig.status()["activity"] == "prescan"
     with pytest.raises(CommandRefusedError, match="prescan is running; wait, or stop it"):
@@ -149,16 +134,16 @@ def test_a_prescan_proposes_bounds_just_outside_the_light_on_the_specimen(start)
     assert "proposes" in status["message"] and status["lamp_on"]
 
 
-def test_a_prescan_that_begins_in_the_light_warns(start):
-    rig = start(**BY_HAND, simulation__object="dome")
+def test_a_prescan_that_begins_in_the_light_warns(start_rig):
+    rig = start_rig(**BY_HAND, simulation__object="dome")
     rig.ask("prescan", first_steps=660, last_steps=840, every_steps=60)
     warnings = " ".join(ended(rig)["proposal"]["warnings"])
     assert "is lit in the first look, at 660: begin outside it" in warnings
     assert "is dark until the last look, at 840: end later" in warnings
 
 
-def test_a_prescan_is_stopped_at_once_and_proposes_nothing(start):
-    rig = start(simulation__time_scale=1.0)
+def test_a_prescan_is_stopped_at_once_and_proposes_nothing(start_rig):
+    rig = start_rig(simulation__time_scale=1.0)
     rig.ask("prescan")
     rig.until(lambda s: s["activity_share"] > 0, "a look is taken")
     assert rig.ask("stop") == {"stopping": "prescan"}
@@ -166,8 +151,8 @@ def test_a_prescan_is_stopped_at_once_and_proposes_nothing(start):
     assert status["message"] == "prescan: stopped" and status["proposal"] is None
 
 
-def test_a_prescan_in_between_pictures_goes_on_in_a_preview_and_leaves_it_on(start):
-    rig = start(**BY_HAND, simulation__time_scale=0.3)
+def test_a_prescan_in_between_pictures_goes_on_in_a_preview_and_leaves_it_on(start_rig):
+    rig = start_rig(**BY_HAND, simulation__time_scale=0.3)
     watcher = rig.watch()
     rig.ask("preview", on=True, rate_hz=30)
     rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
@@ -176,8 +161,8 @@ def test_a_prescan_in_between_pictures_goes_on_in_a_preview_and_leaves_it_on(sta
     assert rig.until(lambda s: s["activity"] == "preview", "the pre-scan ends")["state"] == "preview"
 
 
-def test_a_prescan_outside_the_travel_is_refused(start):
-    rig = start()
+def test_a_prescan_outside_the_travel_is_refused(start_rig):
+    rig = start_rig()
     with pytest.raises(CommandRefusedError, match="outside the stage's travel"):
         rig.ask("prescan", last_steps=5000)
     assert not rig.status()["lamp_on"]
@@ -221,8 +206,8 @@ def test_a_proposed_exposure_brings_the_brightest_to_the_target_or_says_why_not(
 # ---- motion under a lease ----
 
 
-def test_a_held_key_moves_the_stage_until_it_is_let_go(start):
-    rig = start(simulation__time_scale=1.0)
+def test_a_held_key_moves_the_stage_until_it_is_let_go(start_rig):
+    rig = start_rig(simulation__time_scale=1.0)
     held = rig.ask("jog_hold", direction=1, rate_steps_per_s=100)
     assert held["target_steps"] == MOST_STEPS and str(MOST_STEPS) in held["limit"] and held["lease_ms"] == 300
     rig.ask("jog_hold", direction=1, rate_steps_per_s=100)
@@ -231,8 +216,8 @@ def test_a_held_key_moves_the_stage_until_it_is_let_go(start):
     assert 0 < status["position_steps"] < MOST_STEPS, "it did not stop by itself when nobody renewed the lease"
 
 
-def test_a_hold_goes_no_further_than_its_bound_or_the_soft_limit_and_then_wants_the_key_let_go(start):
-    rig = start()
+def test_a_hold_goes_no_further_than_its_bound_or_the_soft_limit_and_then_wants_the_key_let_go(start_rig):
+    rig = start_rig()
     rig.ask("jog_hold", direction=1, rate_steps_per_s=100_000)
     status = ended(rig)
     assert status["position_steps"] == MOST_STEPS and "the most of one hold" in status["message"]
@@ -246,16 +231,16 @@ def test_a_hold_goes_no_further_than_its_bound_or_the_soft_limit_and_then_wants_
     assert ended(rig)["position_steps"] == 4500
 
 
-def test_the_other_direction_stops_the_stage_first(start):
-    rig = start(simulation__time_scale=1.0)
+def test_the_other_direction_stops_the_stage_first(start_rig):
+    rig = start_rig(simulation__time_scale=1.0)
     rig.ask("jog_hold", direction=1, rate_steps_per_s=100)
     with pytest.raises(CommandRefusedError, match="slowing down"):
         rig.ask("jog_hold", direction=-1)
     ended(rig)
 
 
-def test_key_presses_that_come_late_move_nothing(start):
-    rig = start()
+def test_key_presses_that_come_late_move_nothing(start_rig):
+    rig = start_rig()
     now_ns = rig.daemon.clock.now_ns
     rig.daemon._commands._clock = type("Later", (), {"now_ns": lambda _self: now_ns() + 400_000_000})()
     with pytest.raises(CommandRefusedError, match=r"jog_hold came 0\.4 s late and was not done"):

@@ -9,29 +9,11 @@ from acquire.contract.errors import CommandRefusedError
 from acquire.control import Control
 from acquire.stages.protocol import Alarm
 
-from .rig_in_process import RigInProcess
-
-
-@pytest.fixture
-def start(run_dir, tmp_path):
-    """Start a rig with these settings (dots as double underscores)."""
-    rigs = []
-
-    def call(**settings) -> RigInProcess:
-        dotted = {name.replace("__", "."): value for name, value in settings.items()}
-        rigs.append(RigInProcess(run_dir, tmp_path / "scans", dotted).__enter__())
-        return rigs[-1]
-
-    yield call
-    for rig in rigs:
-        rig.__exit__()
-
-
 # ---- preview ----
 
 
-def test_a_preview_shows_pictures_while_it_is_on_and_ends_in_idle(start):
-    rig = start()
+def test_a_preview_shows_pictures_while_it_is_on_and_ends_in_idle(start_rig):
+    rig = start_rig()
     watcher = rig.watch()
     rig.ask("preview", on=True, rate_hz=30)
     assert rig.status()["state"] == "preview" and rig.status()["activity"] == "preview"
@@ -42,8 +24,8 @@ def test_a_preview_shows_pictures_while_it_is_on_and_ends_in_idle(start):
     assert rig.status()["state"] == "idle" and rig.status()["activity"] == ""
 
 
-def test_a_preview_shows_what_the_camera_sees_where_the_stage_is(start):
-    rig = start()
+def test_a_preview_shows_what_the_camera_sees_where_the_stage_is(start_rig):
+    rig = start_rig()
     watcher = rig.watch()
     rig.ask("lamp", on=True)
     rig.ask("goto", position_steps=1578)
@@ -55,8 +37,8 @@ def test_a_preview_shows_what_the_camera_sees_where_the_stage_is(start):
     assert 0 <= picture.low <= picture.high and 0 <= picture.full_scale_share <= 1
 
 
-def test_nobody_looks_no_picture_is_taken(start):
-    rig = start()
+def test_nobody_looks_no_picture_is_taken(start_rig):
+    rig = start_rig()
     rig.ask("preview", on=True, rate_hz=30)
     taken = rig.daemon.rig.camera._frame_id
     for _ in range(20):
@@ -65,8 +47,8 @@ def test_nobody_looks_no_picture_is_taken(start):
     rig.picture(rig.watch())
 
 
-def test_the_stage_moves_while_the_preview_goes_on_and_comes_back_to_it(start):
-    rig = start(simulation__time_scale=0.2)
+def test_the_stage_moves_while_the_preview_goes_on_and_comes_back_to_it(start_rig):
+    rig = start_rig(simulation__time_scale=0.2)
     watcher = rig.watch()
     rig.ask("preview", on=True, rate_hz=30)
     rig.ask("goto", position_steps=4000)
@@ -78,8 +60,8 @@ def test_the_stage_moves_while_the_preview_goes_on_and_comes_back_to_it(start):
     assert rig.until(lambda s: s["state"] != "homing", "the stage is home")["state"] == "preview"
 
 
-def test_a_scan_may_start_from_a_preview_which_then_ends(start):
-    rig = start()
+def test_a_scan_may_start_from_a_preview_which_then_ends(start_rig):
+    rig = start_rig()
     rig.watch()
     rig.ask("preview", on=True)
     rig.ask("scan", purpose="raw")
@@ -87,8 +69,8 @@ def test_a_scan_may_start_from_a_preview_which_then_ends(start):
     assert status["activity"] == "" and status["faults"][0]["code"] == "F05"
 
 
-def test_the_previews_last_picture_is_not_taken_for_one_of_the_sweep(start):
-    rig = start(simulation__time_scale=5.0, camera__frame_timeout_ms=20000.0, limits__writer_start_s=20.0)
+def test_the_previews_last_picture_is_not_taken_for_one_of_the_sweep(start_rig):
+    rig = start_rig(simulation__time_scale=5.0, camera__frame_timeout_ms=20000.0, limits__writer_start_s=20.0)
     interlude = rig.daemon.interlude
     rig.watch()
     rig.ask("preview", on=True, rate_hz=30)
@@ -98,8 +80,8 @@ def test_the_previews_last_picture_is_not_taken_for_one_of_the_sweep(start):
     assert rig.status()["counters"]["received"] == rig.status()["counters"]["check_frames"] == 0
 
 
-def test_a_preview_during_a_sweep_is_refused_in_words(start):
-    rig = start(limits__writer_start_s=20.0)
+def test_a_preview_during_a_sweep_is_refused_in_words(start_rig):
+    rig = start_rig(limits__writer_start_s=20.0)
     rig.ask("scan", purpose="raw")
     with pytest.raises(CommandRefusedError, match="a scan is running, and its pictures are shown already"):
         rig.ask("preview", on=True)
@@ -109,8 +91,8 @@ def test_a_preview_during_a_sweep_is_refused_in_words(start):
 # ---- settings and limits ----
 
 
-def test_settings_change_while_previewing_and_limits_are_named(start):
-    rig = start()
+def test_settings_change_while_previewing_and_limits_are_named(start_rig):
+    rig = start_rig()
     assert rig.status()["camera_limits"]["exposure_ms"] == [0.01, 75.0]
     rig.ask("preview", on=True)
     assert rig.ask("camera", gain=12)["gain"] == 12
@@ -119,8 +101,8 @@ def test_settings_change_while_previewing_and_limits_are_named(start):
     assert rig.status()["camera"] == {"exposure_ms": 30.0, "gain": 12.0, "brightness_percent": 0.0}
 
 
-def test_a_jog_is_clipped_at_the_soft_limit_and_a_goto_beyond_it_refused_by_name(start):
-    rig = start()
+def test_a_jog_is_clipped_at_the_soft_limit_and_a_goto_beyond_it_refused_by_name(start_rig):
+    rig = start_rig()
     assert rig.ask("jog", steps=10_000) == {
         "target_steps": 4500, "clipped": "the soft limit stage.travel_max_steps = 4500"
     }  # fmt: skip
@@ -131,8 +113,8 @@ def test_a_jog_is_clipped_at_the_soft_limit_and_a_goto_beyond_it_refused_by_name
         rig.ask("goto", position_steps=-1)
 
 
-def test_the_lamps_warm_up_counts_down(start):
-    rig = start(lamp__warm_up_s=3000.0)
+def test_the_lamps_warm_up_counts_down(start_rig):
+    rig = start_rig(lamp__warm_up_s=3000.0)
     assert rig.status()["lamp_warm_s"] == 0
     rig.ask("lamp", on=True)
     first = rig.status()["lamp_warm_s"]
@@ -143,8 +125,8 @@ def test_the_lamps_warm_up_counts_down(start):
 # ---- control ----
 
 
-def test_who_holds_control_is_shown_and_others_are_refused_by_name_but_may_stop(start):
-    rig = start()
+def test_who_holds_control_is_shown_and_others_are_refused_by_name_but_may_stop(start_rig):
+    rig = start_rig()
     rig.ask_as("anna on pts/3", "control", action="take")
     assert rig.status()["control"] == "anna on pts/3"
     for who in ("ben on pts/4", ""):
@@ -155,8 +137,8 @@ def test_who_holds_control_is_shown_and_others_are_refused_by_name_but_may_stop(
     assert rig.ask_as("anna on pts/3", "jog", steps=5)["target_steps"] == 5
 
 
-def test_control_is_taken_over_given_back_and_then_anybody_may_act(start):
-    rig = start()
+def test_control_is_taken_over_given_back_and_then_anybody_may_act(start_rig):
+    rig = start_rig()
     rig.ask_as("anna", "control", action="take")
     assert rig.ask_as("ben", "control", action="take") == {"holder": "ben"}
     with pytest.raises(CommandRefusedError, match="ben holds control"):
@@ -165,9 +147,9 @@ def test_control_is_taken_over_given_back_and_then_anybody_may_act(start):
     assert rig.ask("jog", steps=5)["target_steps"] == 5
 
 
-def test_a_client_without_a_name_cannot_hold_control(start):
+def test_a_client_without_a_name_cannot_hold_control(start_rig):
     with pytest.raises(CommandRefusedError, match="say who you are"):
-        start().ask("control", action="take")
+        start_rig().ask("control", action="take")
 
 
 def test_control_lapses_ten_seconds_after_its_holders_last_word():
@@ -182,8 +164,8 @@ def test_control_lapses_ten_seconds_after_its_holders_last_word():
 # ---- a rig in fault ----
 
 
-def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start):
-    rig = start()
+def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start_rig):
+    rig = start_rig()
     rig.ask("preview", on=True)
     rig.daemon._inbox.put(Alarm("F23", "the limit switch was hit", 12, position_trusted=True))
     status = rig.until(lambda s: s["state"] == "fault", "the alarm is shown")
@@ -199,16 +181,16 @@ def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start)
 # ---- estimate ----
 
 
-def test_an_estimate_says_what_a_scan_takes_and_makes_nothing(start, tmp_path):
-    rig = start()
+def test_an_estimate_says_what_a_scan_takes_and_makes_nothing(start_rig, tmp_path):
+    rig = start_rig()
     found = rig.ask("estimate", first_steps=0, last_steps=1200, steps_per_frame=12)
     assert found["expected"] == 101 and found["seconds"] > 0 and found["warnings"] == []
     assert found["bytes"] >= 101 * 64 * 48 * 3 and found["free_bytes"] > found["bytes"]
     assert not (tmp_path / "scans").exists() and rig.status()["state"] == "idle"
 
 
-def test_an_estimate_refuses_in_the_words_of_the_scan(start):
-    rig = start()
+def test_an_estimate_refuses_in_the_words_of_the_scan(start_rig):
+    rig = start_rig()
     words = []
     for command in ("estimate", "scan"):
         with pytest.raises(CommandRefusedError, match="outside the stage's travel") as refused:
