@@ -199,8 +199,8 @@ def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None
 
 
 def _gradient(grey: NDArray[np.uint8], places: F8, pitch_px: float) -> F8:
-    """Corners where the gradients around them meet (OpenCV's estimate), in a window of half the pitch."""
-    half = int(np.clip(round(pitch_px / 4), 2, 11))
+    """Corners where the gradients around them meet (OpenCV's estimate), in a window of two thirds of the pitch."""
+    half = int(np.clip(pitch_px / 3, 2, 11))
     start = places.astype(np.float32).reshape(-1, 1, 2)
     found = cv2.cornerSubPix(
         grey, start, (half, half), (-1, -1), (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 60, 1e-4)

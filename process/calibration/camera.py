@@ -114,7 +114,7 @@ def calibrate_camera(
         pictures: (name, grey or RGB pixels), all of one size.
         board: the pattern.
         stage: name of the picture with the board lying flat on the stage: z = 0, origin in the middle of the pattern.
-        corners: estimate of the corners: saddle, sector, gradient, or auto (which of the first two fits better).
+        corners: estimate of the corners: saddle, sector, gradient, or auto (which fits best, or the mean of two).
 
     Raises:
         CalibrationError: fewer than three usable views, parallel views, sizes that differ, a stage view that cannot

@@ -16,6 +16,8 @@ MOST_FOLDS = 10
 HELD_OUT_CORNERS = 300
 WORTHWHILE = 0.002
 """A model with more terms has to lower the held-out error by this share."""
+COMPARABLE = 1.2
+"""Estimates of the corners whose residuals differ by more are not averaged: the worse one would bring its bias."""
 HARMFUL = 3.0
 """A view whose residual is so many times the median of the others does not show the same board."""
 HARMFUL_FLOOR_PX = 0.05
@@ -67,18 +69,27 @@ def choose_corners(
 ) -> tuple[list[Sighting], str]:
     """The views with one estimate of their corners, and its name.
 
-    ``auto`` is that of ``saddle`` and ``sector`` which fits one camera better; a view that lacks the estimate keeps its
-    own.
+    ``auto`` takes the estimate that fits one camera best, or its mean with the second best, each weighted by the
+    inverse of its variance, where the two are comparable and their mean fits better still: their errors are partly
+    independent. A view that lacks an estimate keeps its own.
     """
-    if wanted in ("saddle", "gradient"):
+    if wanted != "auto":
         return _with_corners(views, wanted), wanted
-    sector = _with_corners(views, "sector")
-    if wanted == "sector":
-        return sector, wanted
-    if all("sector" not in view.others for view in views):
-        return list(views), "saddle"
-    by_saddle, by_sector = fit_camera(views, size, "k1"), fit_camera(sector, size, "k1")
-    return (sector, "sector") if by_sector.rms_px < by_saddle.rms_px else (list(views), "saddle")
+    names = ["saddle", *(name for name in ("sector", "gradient") if any(name in view.others for view in views))]
+    by_name = {name: _with_corners(views, name) for name in names}
+    rms = {name: fit_camera(chosen, size, "k1").rms_px for name, chosen in by_name.items()}
+    best, *others = sorted(names, key=rms.__getitem__)
+    if not others or rms[others[0]] > COMPARABLE * rms[best]:
+        return by_name[best], best
+    second = others[0]
+    share = rms[second] ** 2 / (rms[best] ** 2 + rms[second] ** 2)
+    blend = [
+        replace(one, pixels=share * one.pixels + (1 - share) * two.pixels)
+        for one, two in zip(by_name[best], by_name[second], strict=True)
+    ]
+    if fit_camera(blend, size, "k1").rms_px < rms[best]:
+        return blend, f"{best} + {second}"
+    return by_name[best], best
 
 
 def _with_corners(views: Sequence[Sighting], name: str) -> list[Sighting]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from acquire.contract.errors import CalibrationError
 from process.calibration.boards import Board, BoardNotFoundError, find_board
 from process.calibration.camera import calibrate_camera
+from process.calibration.selection import choose_corners
 
 BOARD = Board(13, 10, 0.3)
 SIZE = (480, 360)
@@ -128,3 +131,28 @@ def test_a_view_of_another_board_is_left_out_with_its_reason(views):
 def test_the_stage_view_must_be_among_the_pictures(views):
     with pytest.raises(CalibrationError, match="not among the pictures"):
         calibrate_camera(views, BOARD, "flat.png")
+
+
+def test_comparable_estimates_of_the_corners_are_averaged_and_a_worse_one_is_not(views):
+    sightings = [find_board(pixels, BOARD) for _, pixels in views]
+    truth = [
+        cv2.projectPoints(seen.object_mm, cv2.Rodrigues(turn)[0], shift, MATRIX, DISTORTION)[0].reshape(-1, 2)
+        for seen, (turn, shift) in zip(sightings, [pose(tilt) for tilt in TILTS], strict=True)
+    ]
+    source = np.random.default_rng(3)
+
+    def noisy(sd_px: float) -> list[np.ndarray]:
+        return [at + source.normal(0, sd_px, at.shape) for at in truth]
+
+    def chosen(second_px: float) -> tuple[str, float]:
+        seen = [
+            replace(sighting, pixels=one, others={"gradient": two})
+            for sighting, one, two in zip(sightings, noisy(0.1), noisy(second_px), strict=True)
+        ]
+        taken, name = choose_corners(seen, SIZE)
+        error = np.concatenate([view.pixels - at for view, at in zip(taken, truth, strict=True)])
+        return name, float(np.sqrt((error**2).mean()))
+
+    name, error_px = chosen(0.11)
+    assert name == "saddle + gradient" and error_px < 0.08
+    assert chosen(0.2)[0] == "saddle"

@@ -17,7 +17,7 @@ from acquire.simulation import build_scene, ideal_calibration
 from process.calibration.documents import new_document, read_document, write_document
 from process.calibration.plane_sweep import fit_plane
 from process.calibration.recipe import rezeroed
-from process.calibration.reference_planes import fit_reference_planes, read_planes
+from process.calibration.reference_planes import ReferenceResult, fit_reference_planes, read_planes
 from process.calibration.robust import solve
 from process.calibration.surfaces import Surface
 from process.calibration.sweeps import FoldedSweep, fold_sweep
@@ -207,31 +207,39 @@ def test_a_sweep_that_never_reaches_the_board_is_named(tmp_path):
         fold_sweep(dark)
 
 
-def test_planes_of_the_public_scan_are_those_of_an_independent_implementation(real_scan, tmp_path):
-    given = json.loads((real_scan / "calibration.json").read_text())
-    run = CliRunner()
-    scan = tmp_path / "frog.h5"
-    assert run.invoke(cli, ["import", str(real_scan / "frames"), str(scan)], standalone_mode=False).exception is None
-    camera = load_calibration(real_scan / "calibration.json")[0].camera
-    planes = read_planes(real_scan / "calibration.json", camera)
-    sweep = fold_sweep(scan, edge="falling", contrast=50, clean=False)
-    result = fit_reference_planes(sweep.crossing, planes, camera, edge="falling", method="linear")
-    first = given["light_plane"]["first_frame"]
-    theirs = np.array(given["light_plane"]["planes"])
+def apart(result: ReferenceResult, given: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Degrees, and mm at the middle of the scene, between the planes of the same frames."""
+    first, theirs = given["light_plane"]["first_frame"], np.array(given["light_plane"]["planes"])
     angles, gaps = [], []
     for plane in result.planes:
         if not first <= plane.t < first + len(theirs):
             continue
-        other = theirs[plane.t - first]
-        other = other / np.linalg.norm(other[:3])
+        other = theirs[plane.t - first] / np.linalg.norm(theirs[plane.t - first][:3])
         angles.append(np.degrees(np.arccos(min(abs(other[:3] @ plane.normal), 1.0))))
         middle = np.array([0.0, -20.0, 1650.0])
         middle -= (other[:3] @ middle - other[3]) * other[:3]
         gaps.append(abs(plane.normal @ middle - plane.offset))
-    assert len(angles) > 95
-    assert np.median(angles) < 0.1
-    assert max(angles) < 0.3
-    assert np.median(gaps) < 1.0
+    return np.array(angles), np.array(gaps)
+
+
+def test_planes_of_the_public_scan_are_those_of_an_independent_implementation(real_scan, tmp_path):
+    given = json.loads((real_scan / "calibration.json").read_text())
+    scan, own = tmp_path / "frog.h5", tmp_path / "camera.json"
+    for arguments in (
+        ["import", str(real_scan / "frames"), str(scan)],
+        ["calibrate", "camera", str(real_scan / "checkerboard"), "--squares", "9x7", "--square-mm", "30",
+         "--out", str(own)],
+    ):  # fmt: skip
+        assert CliRunner().invoke(cli, arguments, standalone_mode=False).exception is None
+    sweep = fold_sweep(scan, edge="falling", contrast=50, clean=False)
+    for camera_file in (real_scan / "calibration.json", own):
+        camera = load_calibration(camera_file)[0].camera
+        planes = read_planes(real_scan / "calibration.json", camera)
+        result = fit_reference_planes(sweep.crossing, planes, camera, edge="falling", method="linear")
+        angles, gaps = apart(result, given)
+        assert len(angles) > 95
+        assert np.median(angles) < 0.1 and max(angles) < 0.3, camera_file
+        assert np.median(gaps) < 1.0, camera_file
 
 
 def test_one_reference_plane_is_not_enough():
