@@ -131,8 +131,8 @@ class Board:
             hold_reason=sweep.hold_reason or "",
             outcome=sweep.outcome,
             expected=sweep.count,
-            triggered=sweep.counters["triggered"],
-            received=sweep.counters["received"],
+            triggered=sweep.intake.counters["triggered"],
+            received=sweep.intake.counters["received"],
             committed=committed,
             durable=sweep.durable,
             retaken=sum(1 for k in sweep.shooting.attempts if k in window.committed),
@@ -142,5 +142,5 @@ class Board:
             rate_hz=rate_hz,
             eta_s=(sweep.count - committed) / rate_hz if rate_hz > 0 and not sweep.paused else None,
             elapsed_s=(now_ns - self._started_ns) / NS_PER_S,
-            counters=facts.counters | sweep.accounts() | {"live_drops": scan.live_drops},
+            counters=facts.counters | sweep.closing.accounts() | {"live_drops": scan.live_drops},
         )

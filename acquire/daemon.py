@@ -213,12 +213,12 @@ class Daemon:
             self.enter(sweep.state)
             return
         self._publish_status(self.clock.now_ns(), force=True)
-        committed, outcome = len(sweep.window.committed), sweep.outcome
+        committed, outcome, reason = len(sweep.window.committed), sweep.outcome, sweep.closing.reason
         self.scan.close()
         self.scan = None
         for state in (State.FINISHING, State.IDLE):
             self.enter(state)
-        self.say(outcome_words(outcome, committed, sweep.count) + (f" ({sweep.reason})" if sweep.reason else ""))
+        self.say(outcome_words(outcome, committed, sweep.count) + (f" ({reason})" if reason else ""))
 
     def _watch_writer(self, scan: RunningScan, now_ns: int) -> None:
         """A writer that says nothing while frames wait for it is lost, and the operator is told once."""

@@ -22,11 +22,12 @@ from acquire.stages.protocol import Alarm
 from . import actions as do
 from .events import SweepEvent
 from .frame_lane import FrameLane
+from .phases import Phase
 from .preparing import PreparedScan
 from .preview_lane import View
 from .rig import Rig
 from .shooting import Shooting
-from .sweep import Phase, Sweep
+from .sweep import Sweep
 
 logger = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ class RunningScan:
         except OSError as error:
             logger.warning("the folder of the scan cannot be read any more: %s", error)
             return
-        if not left and self.sweep.result is None:
+        if not left and self.sweep.closing.result is None:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _carry_out(self, actions: list[do.Action]) -> None:

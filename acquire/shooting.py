@@ -7,7 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from acquire.contract.messages import FrameFormat
+from acquire.contract.faults import report
+from acquire.contract.messages import FaultReport, FrameFormat
 from acquire.contract.plan import SweepPlan
 from acquire.contract.units import ns_from_ms, steps_to_um
 from acquire.stages.protocol import Segment, Triggered
@@ -162,6 +163,10 @@ class Shooting:
             return []
         self._granted = credit
         return [Grant(credit - self._first)]
+
+    def fault(self, code: str, **facts: object) -> FaultReport:
+        """A fault in the words of the table, with what is safe of this sweep."""
+        return report(code, 0, committed=len(self.window.committed), expected=self.settings.plan.count, **facts)
 
     def _credit(self) -> int:
         """The last frame that may be triggered: a slot is free, and in step mode the frame before has arrived."""

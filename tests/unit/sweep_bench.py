@@ -15,9 +15,10 @@ from acquire.contract.messages import AckItem, EndAck, FaultReport, FrameFormat,
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
 from acquire.events import Committed, Sealed, SweepEvent, Tick, WriterReady
+from acquire.phases import Phase
 from acquire.shooting import Shooting, SweepSettings
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
-from acquire.sweep import Phase, Sweep
+from acquire.sweep import Sweep
 from acquire.window import Window
 
 MS = 1_000_000

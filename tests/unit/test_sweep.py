@@ -10,9 +10,9 @@ from acquire.contract.messages import AckItem, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
 from acquire.overlap import OverlapLimits
+from acquire.phases import Phase
 from acquire.shooting import ResumeFrom
-from acquire.stages.protocol import Alarm, Held, Triggered
-from acquire.sweep import Phase
+from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
 
 from .sweep_bench import MS, bench, done
 
@@ -31,8 +31,8 @@ def test_the_ambient_frame_is_taken_with_the_lamp_off_and_frame_0_repeated_at_th
     on.start()
     assert [image.role for image in on.published] == ["ambient", "sweep", "sweep", "sweep", "repeat"]
     assert on.lamp
-    assert on.sweep.checks["brightness_change"] == 0
-    assert on.sweep.checks["steps_lost"] == 0
+    assert on.sweep.checks.measured["brightness_change"] == 0
+    assert on.sweep.checks.measured["steps_lost"] == 0
 
 
 def test_nothing_moves_before_the_writer_is_ready():
@@ -271,7 +271,7 @@ def test_a_frame_that_was_exposed_while_the_controller_stopped_by_itself_is_miss
     on.tick(1)
     assert done(on) and on.sweep.outcome is outcome
     assert len([image for image in on.published if image.role == "sweep"]) == taken
-    assert on.end is not None and on.end.end.missing == [(taken, 19)] and on.sweep.counters["doubtful"] > 0
+    assert on.end is not None and on.end.end.missing == [(taken, 19)] and on.sweep.intake.counters["doubtful"] > 0
 
 
 def test_a_frame_that_the_file_will_never_take_ends_the_sweep_by_name_instead_of_blocking_it():
@@ -323,6 +323,24 @@ def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
     assert on.faults[-1].code == "F03"
 
 
+def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_writer():
+    on = bench()
+    on.sweep.start(on.now_ns)
+    on.feed(Stopped(33, position_trusted=True))
+    on.tick(5000)
+    assert done(on) and [fault.code for fault in on.faults] == ["F05"]
+
+
+def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_seal():
+    on = bench(3)
+    on.acking = False
+    on.start()
+    assert on.sweep.phase is Phase.DRAIN
+    on.feed(Stopped(33, position_trusted=True))
+    on.tick(5001)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED and on.faults[-1].code == "F03"
+
+
 def _first_kept(on):
     kept = min((k for k in on.sweep.window.kept.values() if k.image.role == "sweep"), key=lambda k: k.image.frame_index)
     return AckItem(kept.image.frame_index, 0, kept.image.crc32)
@@ -346,7 +364,7 @@ def test_a_resumed_sweep_takes_its_last_frame_again_and_then_only_what_is_missin
     assert done(on) and on.sweep.outcome is Outcome.COMPLETE
     assert [image.role for image in on.published] == ["overlap", *["sweep"] * 6, "repeat"]
     assert [image.frame_index for image in on.published] == [3, *range(4, 10), 0]
-    assert on.sweep.checks["overlap_specimen_px"] == pytest.approx(0, abs=1e-6)
+    assert on.sweep.checks.measured["overlap_specimen_px"] == pytest.approx(0, abs=1e-6)
 
 
 def test_a_resumed_sweep_does_not_go_on_where_something_moved():
