@@ -138,7 +138,10 @@ def sync_folder(folder: Path) -> None:
 
 def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
     """Write all of ``data`` at ``offset``; the kernel may take it in several pieces."""
-    view = memoryview(data).cast("B")
+    written = os.pwrite(fd, data, offset)
+    if written == memoryview(data).nbytes:
+        return
+    view, offset = memoryview(data).cast("B")[written:], offset + written
     while view:
         written = os.pwrite(fd, view, offset)
         view, offset = view[written:], offset + written

@@ -26,7 +26,10 @@ from .window import ranges_of
 
 Refusal = Literal["shape", "crc", "immutable", "protocol"]
 USABLE: Final = (FrameStatus.GOOD, FrameStatus.RETAKEN)
-_PACK: Final = {"<f8": "<d", "<i8": "<q", "|u1": "<B", "<u4": "<I", "<u8": "<Q"}
+_PACK: Final = {
+    dtype: struct.Struct(code)
+    for dtype, code in {"<f8": "<d", "<i8": "<q", "|u1": "<B", "<u4": "<I", "<u8": "<Q"}.items()
+}
 _RECORD: Final = (
     "position_um",
     "position_steps",
@@ -61,6 +64,12 @@ class ScanStore:
         """
         self.path = path
         self.layout: ScanLayout = read_layout(path)
+        self._numbers = {
+            name: (_PACK[region.dtype.str], region.offset)
+            for name, region in self.layout.regions.items()
+            if region.dtype.str in _PACK
+        }
+        """How a number of a region is packed, and where its first one stands."""
         with ScanReader(path) as reader:
             self._status = reader.status().copy()
             self._crc32 = reader.field("crc32").copy()
@@ -128,8 +137,8 @@ class ScanStore:
             self._put(name, image.frame_index, getattr(image, name))
 
     def _put(self, region: str, index: int, value: float) -> None:
-        place = self.layout.regions[region]
-        write_at(self._fd, struct.pack(_PACK[place.dtype.str], value), place.offset + index * place.dtype.itemsize)
+        packed, offset = self._numbers[region]
+        write_at(self._fd, packed.pack(value), offset + index * packed.size)
 
     def _put_text(self, region: str, text: str, size: int) -> None:
         # cut between characters, never within one
@@ -150,9 +159,8 @@ class ScanStore:
                 self._put_text(MEASURED, raw, MEASURED_BYTES)
 
     def _get(self, region: str, index: int) -> int:
-        place = self.layout.regions[region]
-        raw = os.pread(self._fd, place.dtype.itemsize, place.offset + index * place.dtype.itemsize)
-        return int(struct.unpack(_PACK[place.dtype.str], raw)[0])
+        packed, offset = self._numbers[region]
+        return int(packed.unpack(os.pread(self._fd, packed.size, offset + index * packed.size))[0])
 
     def _get_text(self, region: str) -> str:
         place = self.layout.regions[region]

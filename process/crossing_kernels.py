@@ -114,9 +114,26 @@ def probit_fraction(base, level, low, high):
     Shares of the range are kept half a level away from 0 and 1, where the quantile has no end.
     """
     span = high - low + 1.0
+    return fraction_between(_quantile_of(base - low, span), _quantile_of(level - low, span), span)
+
+
+@inlined_kernel
+def _quantile_of(above, span):
     least = 0.5 / span
-    z0 = normal_quantile(min(max((base - low + 0.5) / span, least), 1.0 - least))
-    z1 = normal_quantile(min(max((level - low + 0.5) / span, least), 1.0 - least))
+    return normal_quantile(min(max((above + 0.5) / span, least), 1.0 - least))
+
+
+@kernel
+def fill_quantiles(table):
+    """table[s, a] for a < s: quantile of a level that lies a above the lowest of s levels, as ``probit_fraction``."""
+    for span in range(1, table.shape[0]):
+        for above in range(span):
+            table[span, above] = _quantile_of(np.float64(above), np.float64(span))
+
+
+@kernel
+def fraction_between(z0, z1, span):
+    """As ``probit_fraction``, from the quantiles of the two samples and the number of levels of the range."""
     if z1 <= z0:
         return 0.5, span
     steep = (z1 - z0) * (z1 - z0)
@@ -125,12 +142,20 @@ def probit_fraction(base, level, low, high):
 
 
 @kernel
-def estimate_crossings(selected, samples, present, noise, probit, crossing, sigma, quality):
+def look_up(numbers, places, out):
+    """out[i] = numbers[places[i]]."""
+    for i in range(places.size):
+        out[i] = numbers[places[i]]
+
+
+@kernel
+def estimate_crossings(selected, samples, present, noise, probit, quantiles, crossing, sigma, quality):
     """Crossing (frame index) from two samples, sigma (frames) and quality of the selected pixels.
 
     selected: flat indices into samples and the outputs. present: frame index of each folded frame.
     noise: standard deviation in levels. probit: interpolate in the inverse normal of the range's share, not
-    in the levels. Outputs are changed only at selected pixels; a pixel whose crossing is UNKNOWN is left alone.
+    in the levels; quantiles [s, a]: ``fill_quantiles``, of ranges up to its size, or empty. Outputs are changed
+    only at selected pixels; a pixel whose crossing is UNKNOWN is left alone.
     """
     first, last = present[0], present[present.size - 1]
     for index in range(selected.size):
@@ -152,7 +177,12 @@ def estimate_crossings(selected, samples, present, noise, probit, crossing, sigm
         fraction = (half - base) / step
         scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
         if probit:
-            fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
+            levels = high - low + 1
+            if levels < quantiles.shape[0]:
+                z0, z1 = quantiles[levels, samples.before[pixel] - low], quantiles[levels, samples.level[pixel] - low]
+                fraction, scatter = fraction_between(z0, z1, np.float64(levels))
+            else:
+                fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
             time, scatter = before + span * fraction, scatter * span * noise / (high - low + 1.0)
         crossing[pixel], sigma[pixel] = time, scatter
         width = np.float64(high - low) / (GAUSS * step / span)

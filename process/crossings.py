@@ -6,6 +6,7 @@ are resolved from the sequence itself, or stay NaN and are counted as unresolved
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from process.crossing_kernels import Samples, estimate_crossings, sample_columns
+from process.crossing_kernels import Samples, estimate_crossings, fill_quantiles, look_up, sample_columns
 from process.quality import Quality
 from process.tiles import UNKNOWN
 
@@ -93,6 +94,19 @@ class _How(NamedTuple):
     noise: float
     """Standard deviation in levels."""
     probit: bool
+    quantiles: NDArray[np.float64]
+    """Of 8-bit levels where they are asked for: an inverse normal for each pixel takes longer than all the rest."""
+
+
+@functools.cache
+def _quantiles_8_bit() -> NDArray[np.float64]:
+    """[257, 256] of ``fill_quantiles``."""
+    table = np.zeros((257, 256))
+    fill_quantiles(table)
+    return table
+
+
+_NO_QUANTILES: NDArray[np.float64] = np.zeros((0, 0))
 
 
 class _Estimates(NamedTuple):
@@ -210,7 +224,8 @@ def make_maps(
     file contradicts the fold.
     """
     shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
-    how = _How(noise_counts * 2.0 ** (folded.bit_depth - 8), probit)
+    quantiles = _quantiles_8_bit() if probit and folded.bit_depth == 8 else _NO_QUANTILES
+    how = _How(noise_counts * 2.0 ** (folded.bit_depth - 8), probit, quantiles)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask)
@@ -219,6 +234,8 @@ def make_maps(
     flagged = unknown[(out.quality[unknown] & np.uint16(Quality.LIT_AT_START)) == 0]
     if read_columns is not None:
         _resolve(read_columns, flagged, folded, how, out)
+    last_record = np.empty(mask.size, np.int32)
+    look_up(folded.present, samples.last_ordinal, last_record)
     return Maps(
         minimum=folded.minimum,
         maximum=folded.maximum,
@@ -227,7 +244,7 @@ def make_maps(
         sigma=out.sigma.reshape(shape),
         quality=out.quality.reshape(shape),
         colour=colour,
-        last_record=folded.present[samples.last_ordinal].astype(np.int32).reshape(shape),
+        last_record=last_record.reshape(shape),
         counts=quality_counts(mask, out.crossing, out.quality)
         | {"flagged": len(flagged), "unresolved": 0 if read_columns is not None else len(flagged)},
     )

@@ -25,8 +25,8 @@ class FrameFile(Protocol):
         """Recorded checksums now, [n]."""
         ...
 
-    def frame(self, frame_index: int, crc32: int) -> NDArray[Any] | None:
-        """Pixels, or None if they do not have this checksum."""
+    def frame(self, frame_index: int, crc32: int, room: NDArray[Any] | None = None) -> NDArray[Any] | None:
+        """Pixels, in ``room`` [h, w] if they fit there, or None if they do not have this checksum."""
         ...
 
 
@@ -125,7 +125,7 @@ class FoldCursor:
                     break
                 self.next_index += 1
                 continue
-            pixels = file.frame(frame_index, int(crc32[frame_index]))
+            pixels = file.frame(frame_index, int(crc32[frame_index]), self.fold.room())
             read += 1
             if pixels is None:
                 self.next_index += 1

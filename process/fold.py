@@ -140,6 +140,10 @@ class Fold:
         """Indices of all folded frames, ascending."""
         return np.array(self._present, np.int64)
 
+    def room(self) -> NDArray[Any]:
+        """Memory [h, w] of the next frame: a grey one that is put there before :meth:`add` need not be copied."""
+        return self._recent.slot()
+
     def add(self, frame_index: int, frame: NDArray[Any], *, keep: bool = False) -> None:
         """Fold the next frame: [h, w] grey or [h, w, 3] RGB. Indices left out are missing frames.
 
@@ -164,14 +168,15 @@ class Fold:
             self._flush()
 
     def _append(self, frame: NDArray[Any], keep: bool) -> None:
-        grey = to_grey(frame, self._bit_depth, out=self._recent.slot())
+        slot = self._recent.slot()
+        grey = to_grey(frame, self._bit_depth, out=slot)
         if frame.ndim == 3:
             if not self._present:
                 self._colour = ColourOfMaximum(self._shape, self._bit_depth)
             assert self._colour is not None
             self._colour.add(grey, frame)
-        elif not (keep and frame.flags.c_contiguous and frame.flags.aligned):
-            grey = self._recent.slot()
+        elif frame is not slot and not (keep and frame.flags.c_contiguous and frame.flags.aligned):
+            grey = slot
             np.copyto(grey, frame)
         self._recent.append(grey)
 

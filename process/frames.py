@@ -44,6 +44,7 @@ class ScanFrames:
         self.damaged: set[int] = set()
         """Frames whose stored pixels do not have their checksum; they are treated as missing."""
         self._mapped: NDArray[Any] | None = None
+        self._scratch: NDArray[Any] | None = None
 
     def __enter__(self) -> ScanFrames:
         return self
@@ -102,13 +103,25 @@ class ScanFrames:
         """Digest over the frames that are present now."""
         return scan_digest(np.where(self.usable(), self.crc32(), 0).astype(np.uint32))
 
-    def frame(self, frame_index: int, crc32: int) -> NDArray[Any] | None:
-        """Grey or RGB pixels of a committed frame; None (and ``damaged``) if they do not have this checksum."""
-        stored = self._reader.frame(frame_index)
+    def frame(self, frame_index: int, crc32: int, room: NDArray[Any] | None = None) -> NDArray[Any] | None:
+        """Grey or RGB pixels of a committed frame; None (and ``damaged``) if they do not have this checksum.
+
+        With ``room`` ([h, w] of the stored type) a grey frame is read into it, and any other into memory of this
+        object, where the next one replaces it: fresh memory for each frame costs more time than reading it.
+        """
+        stored = self._reader.frame(frame_index, None if room is None else self._target(room))
         if frame_crc32(stored) != crc32:
             self.damaged.add(frame_index)
             return None
         return displayed(stored, self.layout.format.pixel_format)
+
+    def _target(self, room: NDArray[Any]) -> NDArray[Any]:
+        form = self.layout.format
+        if form.pixel_format == "mono":
+            return room
+        if self._scratch is None:
+            self._scratch = np.empty(form.shape, np.dtype(form.dtype))
+        return self._scratch
 
     def columns(self, frames: NDArray[np.intp], pixels: NDArray[np.intp]) -> NDArray[Any]:
         """Grey values of a few ``pixels`` (flat indices) in all ``frames``, [len(frames), len(pixels)]."""

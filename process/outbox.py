@@ -27,7 +27,9 @@ PREVIEW_LEAST_NS = 250 * NS_PER_MS
 REST = 3
 """Previews rest for so many times what the last one cost: at most a quarter of the time goes into them ..."""
 REST_BEHIND, BEHIND_FRAMES = 15, 32
-"""... and a sixteenth where the fold is so many frames behind: it comes first."""
+"""... and a sixteenth where the fold is so many frames behind: it comes first ..."""
+PREVIEW_BEHIND_NS = 1000 * NS_PER_MS
+"""... and one look each second is enough to see that it goes on."""
 _SUBSCRIBED, _UNSUBSCRIBED = b"\x01", b"\x00"
 
 
@@ -42,7 +44,9 @@ class Outbox:
         self._tiles: LiveTiles | None = None
         self._end: ResultEnd | None = None
         self._progress = ResultProgress(version=0, folded_through=-1, expected=0, message="no scan yet")
-        self._progress_ns = self._preview_ns = 0
+        self._progress_ns = 0
+        self._looked_ns = self._look_cost_ns = 0
+        """When the last preview was ready, and what it cost."""
         self._version = 0
         self.wants_preview = False
         """Somebody came who has not seen the maps; they do not wait for the next frame."""
@@ -55,7 +59,7 @@ class Outbox:
         """A new scan: what was shown before is forgotten."""
         self._tiles = LiveTiles(session.form.width, session.form.height)
         self._end = None
-        self._preview_ns = self._maps_ns = 0
+        self._looked_ns = self._look_cost_ns = self._maps_ns = 0
         self._send_tiles(session, *self._tiles.snapshot(), snapshot=True)
         self.say_progress(session, now_ns=0)
 
@@ -96,9 +100,11 @@ class Outbox:
         self._progress_ns = now_ns
         self._send(self._progress)
 
-    def preview_due(self, now_ns: int) -> bool:
-        """The last preview is long enough ago, measured by what it cost."""
-        return now_ns >= self._preview_ns
+    def preview_due(self, now_ns: int, lag_frames: int) -> bool:
+        """The last preview is long enough ago, measured by what it cost and by how far the fold is behind now."""
+        behind = lag_frames > BEHIND_FRAMES
+        least_ns, rest = (PREVIEW_BEHIND_NS, REST_BEHIND) if behind else (PREVIEW_LEAST_NS, REST)
+        return now_ns >= self._looked_ns + max(least_ns, rest * self._look_cost_ns)
 
     def say_preview(self, session: ScanSession) -> None:
         """The tiles that changed; the next preview waits in proportion to the cost of this one."""
@@ -111,8 +117,7 @@ class Outbox:
             self._maps_ns = start_ns + live_maps.PERIOD_NS
             self._say_maps(live_maps.sampled(session, preview.maps))
         end_ns = time.monotonic_ns()
-        rest = REST_BEHIND if session.lag_frames > BEHIND_FRAMES else REST
-        self._preview_ns = end_ns + max(PREVIEW_LEAST_NS, rest * (end_ns - start_ns))
+        self._looked_ns, self._look_cost_ns = end_ns, end_ns - start_ns
 
     def say_final(self, session: ScanSession, preview: Preview) -> None:
         """The exact points, all of them, none provisional."""

@@ -23,9 +23,10 @@ class RecentFrames:
     """At most `batch` waiting frames and the one before them; grey originals [h, w] of one type."""
 
     def __init__(self, shape: tuple[int, int], dtype: np.dtype[Any], batch: int) -> None:
-        self._batch, self._shape = batch, shape
+        self._batch = batch
         self._pixels = shape[0] * shape[1]
-        self._slots = aligned_zeros((batch + 1, self._pixels), dtype)
+        self._slots = aligned_zeros((batch + 1, *shape), dtype)
+        self._rooms = list(self._slots)
         self._tails = aligned_zeros((batch + 1, TILE), dtype)
         self._tail_start = self._pixels - self._pixels % TILE
         self._count = 0
@@ -44,8 +45,8 @@ class RecentFrames:
         return self.waiting == self._batch
 
     def slot(self) -> NDArray[Any]:
-        """Memory [h, w] for the next frame, to be filled and handed to append."""
-        return self._slots[self._count % (self._batch + 1)].reshape(self._shape)
+        """Memory [h, w] for the next frame, to be filled and handed to append; the same object until then."""
+        return self._rooms[self._count % (self._batch + 1)]
 
     def append(self, grey: NDArray[Any]) -> None:
         """Take the next frame: the slot, or a C-contiguous frame [h, w] that nobody changes any more."""

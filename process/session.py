@@ -31,8 +31,8 @@ BUFFER_BYTES = 64_000_000
 """Live frames that may wait for a gap to be filled."""
 SILENT_NS = 250 * NS_PER_MS
 """After so long without a frame the file is asked; what is there for so long again was lost on the live lane."""
-FILE_FRAMES_AT_ONCE = 8
-"""Frames read from the file before the sockets are looked at again: at most some 20 ms."""
+FILE_BYTES_AT_ONCE = 16_000_000
+"""Frames read from the file before the sockets are looked at again: some 10 ms, or one frame."""
 
 
 class ScanSession:
@@ -53,6 +53,7 @@ class ScanSession:
         room = min(max(BUFFER_BYTES // self.form.nbytes, 4), 64)
         self.cursor = FoldCursor(lambda: new_fold(settings, form, announced.count), announced.count, room)
         self._ahead = Ahead(self.settings, self.form)
+        self._file_frames = max(1, FILE_BYTES_AT_ONCE // self.form.nbytes)
         self.gate = LiveGate(announced)
         self.timings = Timings()
         self.results: Results | None = None
@@ -161,7 +162,7 @@ class ScanSession:
             # not beyond the newest live frame: those that follow it are on their way
             through = self.announced.count if self.ended else max(self.newest_live, before)
             never = self._ending.never(self.announced.count, frames.outcome)
-            read = self.cursor.fill(frames, limit=FILE_FRAMES_AT_ONCE, through=through, never=never)
+            read = self.cursor.fill(frames, limit=self._file_frames, through=through, never=never)
         if read:
             self.last_frame_ns = self._clock.now_ns()
             filled = slice(before, self.cursor.next_index)

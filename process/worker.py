@@ -90,6 +90,8 @@ class Worker:
         self.malformed = 0
         self._refused_uid = ""
         self._news = False
+        self._file_flows = False
+        """The file had frames for the fold when it was last asked: it may have more."""
         self._refresh_ns = self._refresh_until_ns = self._retry_ns = self._tries = 0
 
     def close(self) -> None:
@@ -126,6 +128,8 @@ class Worker:
         session = self.session
         if session is None or session.failure or session.results is not None:
             return IDLE_MS
+        if session.behind:
+            return 0 if self._file_flows else FILE_WAIT_MS
         if session.may_work_ahead:
             return 0
         return FILE_WAIT_MS if session.wants_file or session.cursor.done else IDLE_MS
@@ -222,18 +226,19 @@ class Worker:
 
         Without anything else to do, estimates that would otherwise be left to the end.
         """
+        self._file_flows = False
         if session.failure and not self._tries_again(session):
             return
         try:
             if session.wants_file and session.fill():
-                self._news = True
+                self._news = self._file_flows = True
             if session.ready_to_finish():
                 self._finish(session)
             elif session.results is not None:
                 self._refresh(session)
             elif self._preview_due(session):
                 self.outbox.say_preview(session)
-            elif idle and session.may_work_ahead:
+            elif idle and not session.behind and session.may_work_ahead:
                 session.work_ahead()
         except SweepscopeError as error:
             self._fail(session, str(error))
@@ -245,7 +250,7 @@ class Worker:
     def _preview_due(self, session: ScanSession) -> bool:
         """There is something new to show, or to look at, and the end of the sweep does not wait for its results."""
         asked = (self._news and not session.cursor.done) or self.outbox.wants_preview
-        return asked and self.outbox.preview_due(self._clock.now_ns())
+        return asked and self.outbox.preview_due(self._clock.now_ns(), session.lag_frames)
 
     def _fail(self, session: ScanSession, why: str) -> None:
         session.failure = f"no maps: {why}; the scan is safe, 'sweepscope reconstruct' makes them"

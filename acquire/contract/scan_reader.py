@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -49,7 +50,7 @@ class Region:
     @property
     def nbytes(self) -> int:
         """Bytes of the whole region."""
-        return int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+        return math.prod(self.shape) * self.dtype.itemsize
 
 
 @dataclass(frozen=True)
@@ -310,19 +311,26 @@ class ScanReader:
     def present(self) -> NDArray[np.bool_]:
         """Which frames can be used: good or re-taken, bool [n]."""
         status = self.status()
-        return np.isin(status, (FrameStatus.GOOD, FrameStatus.RETAKEN))
+        present: NDArray[np.bool_] = (status == FrameStatus.GOOD) | (status == FrameStatus.RETAKEN)
+        return present
 
     def committed_through(self) -> int:
         """Last frame index such that it and all before it are committed (or damaged); -1 for none."""
         missing = np.flatnonzero(self.status() == FrameStatus.MISSING)
         return int(missing[0]) - 1 if missing.size else self.count - 1
 
-    def frame(self, frame_index: int) -> NDArray[Any]:
-        """Pixels of one frame as stored: [h, w] or [h, w, 3] RGB, read-only.
+    def frame(self, frame_index: int, out: NDArray[Any] | None = None) -> NDArray[Any]:
+        """Pixels of one frame as stored: [h, w] or [h, w, 3] RGB, read-only; or ``out``, filled with them.
+
+        ``out`` (contiguous, of the stored shape and type) spares a reader of many frames the time for fresh memory.
 
         Raises:
             IndexError: no such frame in the plan.
+            ScanFileError: the file was cut short.
         """
+        if out is not None:
+            self.read_rows(frame_index, 0, out)
+            return out
         if not 0 <= frame_index < self.count:
             raise IndexError(f"frame {frame_index} of {self.count}")
         raw = self._read(self.layout.frame_offset(frame_index), self.layout.frame_nbytes)

@@ -20,6 +20,9 @@ class RecordingFold:
         assert not self.fed or frame_index > self.fed[-1][0]
         self.fed.append((frame_index, int(frame[0])))
 
+    def room(self) -> np.ndarray:
+        return np.empty(1)
+
 
 class MemoryFile:
     """A scan file of one-pixel frames; frame k holds k + 1 and has the checksum 100 + k."""
@@ -41,7 +44,7 @@ class MemoryFile:
     def crc32(self) -> np.ndarray:
         return self._crc32.copy()
 
-    def frame(self, frame_index: int, crc32: int) -> np.ndarray | None:
+    def frame(self, frame_index: int, crc32: int, room: np.ndarray | None = None) -> np.ndarray | None:
         assert crc32 == 100 + frame_index
         if frame_index in self.torn:
             self.damaged.add(frame_index)

@@ -144,6 +144,15 @@ def test_single_pixels_of_a_file_are_those_of_its_whole_frames(colour_scan):
             assert np.array_equal(found[i, : end[i] - first[i]], whole[first[i] : end[i], i])
 
 
+def test_frames_read_one_over_the_other_are_those_read_alone(colour_scan):
+    with ScanFrames(colour_scan) as frames:
+        room = np.empty((72, 96), np.uint8)
+        for k, crc32 in enumerate(frames.crc32()[:5]):
+            again = frames.frame(k, int(crc32), room)
+            assert np.array_equal(again, frames.frame(k, int(crc32)))
+        assert frames.frame(0, int(frames.crc32()[1]), room) is None and frames.damaged == {0}
+
+
 def test_work_ahead_stops_where_the_file_was_cut_short(colour_scan, tmp_path, caplog):
     cut = tmp_path / "scan.h5"
     cut.write_bytes((colour_scan / "scan.h5").read_bytes())

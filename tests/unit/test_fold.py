@@ -97,18 +97,23 @@ def test_the_colour_is_that_of_the_first_brightest_frame(edge):
     assert fold.result(**CHOSEN, read_columns=None).colour[0, 0].tolist() == [200, 100, 50]
 
 
+def put_there(fold, frame):
+    np.copyto(fold.room(), frame)
+    return fold.room()
+
+
 @pytest.mark.parametrize("bit_depth", [8, 12])
-def test_whole_tiles_and_a_remainder_fold_alike_copied_or_kept(bit_depth):
+def test_whole_tiles_and_a_remainder_fold_alike_copied_kept_or_put_there(bit_depth):
     rng = np.random.default_rng(3)
     dtype = np.uint8 if bit_depth == 8 else np.uint16
     frames = list(rng.integers(0, 2**bit_depth, (11, 47, 51)).astype(dtype))
     for frame in frames[::2]:
         frame.setflags(write=False)
     reference = two_pass(list(range(11)), frames, bit_depth=bit_depth, edge="falling", **CHOSEN)
-    for keep in (False, True):
+    for way in ("copied", "kept", "put there"):
         fold = Fold((47, 51), bit_depth=bit_depth, edge="falling", frames_expected=11)
         for index, frame in enumerate(frames):
-            fold.add(index, frame, keep=keep and index != 5)
+            fold.add(index, put_there(fold, frame) if way == "put there" else frame, keep=way == "kept" and index != 5)
         maps = fold.result(**CHOSEN, read_columns=None)
         np.testing.assert_array_equal(maps.crossing, reference.crossing)
         np.testing.assert_array_equal(maps.quality, reference.quality)

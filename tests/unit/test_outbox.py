@@ -9,15 +9,14 @@ import zmq
 
 from acquire.contract.lanes import bind
 from process import outbox as outbox_module
-from process.outbox import BEHIND_FRAMES, PREVIEW_LEAST_NS, REST, REST_BEHIND, Outbox
+from process.outbox import BEHIND_FRAMES, PREVIEW_BEHIND_NS, PREVIEW_LEAST_NS, REST, REST_BEHIND, Outbox
 
 COST_NS = PREVIEW_LEAST_NS
+QUICK_NS = PREVIEW_LEAST_NS // (2 * REST_BEHIND)
 
 
 @pytest.fixture
-def outbox(run_dir, monkeypatch):
-    times = iter((0, COST_NS))
-    monkeypatch.setattr(outbox_module, "time", SimpleNamespace(monotonic_ns=lambda: next(times)))
+def outbox(run_dir):
     context = zmq.Context()
     made = Outbox(bind(context, zmq.XPUB, run_dir, "results"))
     yield made
@@ -25,9 +24,33 @@ def outbox(run_dir, monkeypatch):
     context.term()
 
 
-@pytest.mark.parametrize(("lag", "rest"), [(0, REST), (BEHIND_FRAMES, REST), (BEHIND_FRAMES + 1, REST_BEHIND)])
-def test_the_next_look_waits_in_proportion_to_the_last_and_longer_while_the_fold_is_behind(outbox, lag, rest):
-    outbox.say_preview(SimpleNamespace(lag_frames=lag, preview=lambda: None))
-    due_ns = COST_NS + rest * COST_NS
-    assert not outbox.preview_due(due_ns - 1)
-    assert outbox.preview_due(due_ns)
+def look(outbox, monkeypatch, cost_ns):
+    """A preview that takes so long, from 0 on."""
+    times = iter((0, cost_ns))
+    monkeypatch.setattr(outbox_module, "time", SimpleNamespace(monotonic_ns=lambda: next(times)))
+    outbox.say_preview(SimpleNamespace(preview=lambda: None))
+
+
+@pytest.mark.parametrize(
+    ("lag", "cost_ns", "rest_ns"),
+    [
+        (0, COST_NS, REST * COST_NS),
+        (BEHIND_FRAMES, COST_NS, REST * COST_NS),
+        (BEHIND_FRAMES + 1, COST_NS, REST_BEHIND * COST_NS),
+        (0, QUICK_NS, PREVIEW_LEAST_NS),
+        (BEHIND_FRAMES + 1, QUICK_NS, PREVIEW_BEHIND_NS),
+    ],
+)
+def test_the_next_look_waits_in_proportion_to_the_last_and_longer_while_the_fold_is_behind(
+    outbox, monkeypatch, lag, cost_ns, rest_ns
+):
+    look(outbox, monkeypatch, cost_ns)
+    assert not outbox.preview_due(cost_ns + rest_ns - 1, lag)
+    assert outbox.preview_due(cost_ns + rest_ns, lag)
+
+
+def test_a_fold_that_has_caught_up_is_looked_at_without_the_rest_of_one_that_is_behind(outbox, monkeypatch):
+    look(outbox, monkeypatch, QUICK_NS)
+    now_ns = QUICK_NS + PREVIEW_LEAST_NS
+    assert not outbox.preview_due(now_ns, BEHIND_FRAMES + 1)
+    assert outbox.preview_due(now_ns, 0)
