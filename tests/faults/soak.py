@@ -26,7 +26,7 @@ from .harness import FRAME_BYTES, Rig, a_rig, assert_promise
 SERVICES = ("daemon", "writer", "worker")
 WARM_UP_SWEEPS = 20
 """Memory is taken for the first time after so many: caches and pools are filled by then."""
-GROWTH_BYTES = 60_000_000
+GROWTH_BYTES = 20_000_000
 """More than this between the first and the last measurement is called growth."""
 WINDOW_BYTES = 40 * FRAME_BYTES
 
