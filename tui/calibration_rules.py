@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 LEAST_VIEWS = 3
+CAMERA_GOAL = "Show the board flat and tilted to all sides, in all corners. Limit: 0.3 px."
+PLANE_GOAL = "Sweep over the board flat, then tilted both ways: at least two poses. Limit: 1 um between them."
 POSES: tuple[dict[str, Any], ...] = tuple(
     {"tilt_x_deg": tilt_x, "tilt_y_deg": tilt_y, "moved_um": [x, y, 0.0]}
     for tilt_x, tilt_y, x, y in (
@@ -40,7 +42,11 @@ class Situation:
 
 _Rule = tuple[frozenset[str], Callable[[Situation], bool], str]
 _RULES: tuple[_Rule, ...] = (
-    (frozenset({"capture", "sweep", "pose", "object", "preview", "expose"}), lambda s: s.sweep_runs, "a sweep runs"),
+    (
+        frozenset({"capture", "sweep", "pose", "object", "preview", "expose", "lamp", "goto"}),
+        lambda s: s.sweep_runs,
+        "a sweep runs",
+    ),
     (frozenset({"pose", "object"}), lambda s: not s.simulated, "only the simulated rig: lay the board by hand"),
     (frozenset({"capture", "undo"}), lambda s: s.plane_step, "views belong to the first step: m goes there"),
     (frozenset({"sweep", "use"}), lambda s: not s.plane_step, "sweeps belong to the second step: m goes there"),
@@ -66,3 +72,16 @@ _RULES: tuple[_Rule, ...] = (
 def why_not(action: str, situation: Situation) -> str:
     """Why ``action`` cannot be done now; empty if it can."""
     return next((words for actions, hinders, words in _RULES if action in actions and hinders(situation)), "")
+
+
+def camera_hint(*, lamp_on: bool, views: int) -> str:
+    """What makes a good view, as long as there are none."""
+    if not lamp_on:
+        return "The lamp is off: L switches it on."
+    return "" if views else "Views need even light: t moves the projector's edge off the board."
+
+
+def plane_hint(used: int) -> str:
+    """How the next sweep becomes a good one; ``used`` sweeps count."""
+    count = f"{used} sweep{'' if used == 1 else 's'} used."
+    return f"{count} Tilted it is brighter or darker: e, then w, for each pose."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -13,11 +12,11 @@ import msgspec
 from msgspec import Meta
 
 from acquire.contract.errors import CalibrationError
+from tui.json_file import read_object
 
 FOLDER_NAME = "calibration"
 BOARD_NAME = "board.json"
 RESULT_NAME = "calibration.json"
-MAX_JSON_BYTES = 8 * 1024 * 1024
 
 
 class BoardWords(msgspec.Struct, frozen=True):
@@ -152,7 +151,7 @@ class CalibrationSession:
 
     def document(self) -> dict[str, Any]:
         """The calibration of this session; empty while there is none."""
-        return _read_json(self.result)
+        return read_object(self.result)
 
     def document_before(self) -> dict[str, Any]:
         """That of the newest other session that has one, to compare with; empty where there is none."""
@@ -160,15 +159,5 @@ class CalibrationSession:
             folders = sorted(self._root.iterdir(), reverse=True)
         except OSError:
             return {}
-        others = (_read_json(folder / RESULT_NAME) for folder in folders if folder != self.folder)
+        others = (read_object(folder / RESULT_NAME) for folder in folders if folder != self.folder)
         return next((found for found in others if found), {})
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            return {}
-        found = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}

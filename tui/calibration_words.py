@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from tui.jobs import Job
+from tui.scans import ScanEntry
 
 MOST_RMS_PX = 0.3
 """Reprojection error beyond which corners were not found where they are."""
 LEAST_COVERAGE = 0.4
 """Share of the field that the corners must span."""
+MOST_SATURATED = 0.3
+"""Share of a sweep's lit pixels beyond which the light plane is not calibrated with it."""
 BAR_CELLS = 12
 
 
@@ -23,6 +26,14 @@ class Verdict:
     """Passed or failed, and why, in one line."""
     lines: tuple[str, ...]
     """Residuals and notes."""
+
+
+def sweep_words(entry: ScanEntry) -> str:
+    """How a sweep over the board ended, and why it will not do, where its worker has said so."""
+    share = entry.saturated_share
+    if share is None or share <= MOST_SATURATED:
+        return entry.outcome_words
+    return f"{entry.outcome_words}, {100 * share:.0f} % SATURATED: e, then sweep again"
 
 
 def verdict_of(job: Job, before: dict[str, Any], *, plane: bool) -> Verdict:

@@ -18,10 +18,10 @@ from acquire.contract.places import FileLock, is_locked
 from acquire.contract.scan_reader import ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 from acquire.contract.units import format_bytes
+from tui.json_file import read_object
 from tui.scan_copies import Copied, copies_of
 
 State = Literal["running", "sealed", "interrupted", "unreadable"]
-MAX_JSON_BYTES = 16 * 1024 * 1024
 SECONDS_PER_DAY = 86_400
 
 
@@ -40,6 +40,8 @@ class ScanEntry:
     """All files of the folder."""
     points: int | None = None
     """None: no cloud was made."""
+    saturated_share: float | None = None
+    """Saturated pixels among those over the contrast; None where no report says so."""
     has_maps: bool = False
     started_utc: str = ""
     """ISO 8601 with Z; empty where that is not known."""
@@ -178,6 +180,7 @@ def read_entry(folder: Path) -> ScanEntry:
     state = _state(folder, layout.path, outcome)
     if state == "interrupted" and outcome == Outcome.RUNNING:
         outcome = Outcome.INTERRUPTED  # its owner died without a word, and recover has not looked yet
+    counts = _counts(folder)
     calibrated, days = _calibration(layout.verbatim["calibration"], layout.start_time)
     return ScanEntry(
         folder=folder,
@@ -187,7 +190,8 @@ def read_entry(folder: Path) -> ScanEntry:
         committed=committed,
         expected=layout.count,
         size_bytes=size_bytes,
-        points=_points(folder),
+        points=_points(folder, counts),
+        saturated_share=_share(counts, "quality_saturated", "over_contrast"),
         has_maps=(folder / MAPS_NAME).is_file(),
         started_utc=layout.start_time,
         purpose=layout.purpose,
@@ -205,21 +209,21 @@ def _state(folder: Path, path: Path, outcome: str) -> State:
     return "sealed" if path.name != PARTIAL_NAME and outcome in SEALED_OUTCOMES else "interrupted"
 
 
-def _points(folder: Path) -> int | None:
-    report = _json(folder / REPORT_NAME)
-    counts = report.get("counts")
-    points = counts.get("points") if isinstance(counts, dict) else None
+def _counts(folder: Path) -> dict[str, Any]:
+    counts = read_object(folder / REPORT_NAME).get("counts")
+    return counts if isinstance(counts, dict) else {}
+
+
+def _points(folder: Path, counts: dict[str, Any]) -> int | None:
+    points = counts.get("points")
     return points if isinstance(points, int) and (points or (folder / "cloud.ply").is_file()) else None
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            return {}
-        found = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+def _share(counts: dict[str, Any], part: str, whole: str) -> float | None:
+    some, all_of_them = counts.get(part), counts.get(whole)
+    if not isinstance(some, int) or not isinstance(all_of_them, int) or all_of_them <= 0:
+        return None
+    return some / all_of_them
 
 
 def _calibration(text: bytes, started_utc: str) -> tuple[bool, float | None]:

@@ -14,10 +14,11 @@ from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tests.fakes.small_scans import make_scan
 from tests.tui.stage import Stage, play
+from tui.bring_light import BringLight
 from tui.calibration_rules import Situation, why_not
 from tui.calibration_session import BoardWords, CalibrationSession, parse_board
 from tui.calibration_words import camera_verdict, plane_verdict
-from tui.messages import CommandAnswered, PictureArrived
+from tui.messages import CommandAnswered, PictureArrived, StatusArrived
 from tui.screens import calibrate
 from tui.screens.calibrate import BoardSeen
 from tui.view import PictureView
@@ -221,6 +222,59 @@ def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch
         assert "FAILED: 20260101T000000Z-a: it lies 3 um off" in stage.shown(GuidePane).replace("\n", " ")
 
     play(script, screen="calibrate", size=(160, 50), data_dir=tmp_path)
+
+
+def test_a_sweep_that_cannot_pass_says_so_before_the_plane_is_fitted(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibrate, "LOOK_S", 0.1)
+    folder = make_scan(tmp_path / "a", purpose="calibration")
+    (folder / "report.json").write_text('{"counts": {"over_contrast": 200, "quality_saturated": 178}}')
+
+    async def script(stage):
+        await stage.connect()
+        await stage.press("m")
+        await stage.until(lambda: "SAVED, 89 % SATURATED: e, then sweep again" in stage.shown(RowList), "the warning")
+
+    play(script, screen="calibrate", size=(160, 50), data_dir=tmp_path)
+
+
+def test_for_a_sweep_the_exposure_is_searched_when_the_light_has_come_over_the_board(tmp_path):
+    async def script(stage):
+        await stage.connect()
+        await stage.press("m", "e")
+        assert stage.sent[-2:] == [("lamp", {"on": True}), ("goto", {"position_steps": 1578})]
+        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, state=State.MOVING, position_steps=700)))
+        assert stage.sent[-1][0] == "goto", "it is searched while the stage moves"
+        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
+        assert stage.sent[-1] == ("expose", {})
+        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
+        assert [name for name, _ in stage.sent].count("expose") == 1
+
+    play(script, screen="calibrate", data_dir=tmp_path)
+
+
+def test_for_a_view_the_exposure_is_searched_where_the_stage_is(tmp_path):
+    async def script(stage):
+        stage.watch_jobs()
+        await stage.connect()
+        await stage.press("e")
+        assert [name for name, _ in stage.sent] == ["expose"]
+
+    play(script, screen="calibrate", data_dir=tmp_path)
+
+
+def test_a_light_that_was_stopped_on_its_way_searches_no_exposure():
+    light, far = BringLight(), msgspec.structs.replace(IDLE, lamp_on=True)
+    moving = msgspec.structs.replace(far, state=State.MOVING, position_steps=500)
+    there = msgspec.structs.replace(far, position_steps=1578)
+    assert light.begin(1578, far, 0.0) == [("goto", {"position_steps": 1578})]
+    assert light.heard(far, 0.1, stopped=False) == [], "the move has not begun"
+    assert light.heard(moving, 0.2, stopped=False) == []
+    assert light.heard(msgspec.structs.replace(far, position_steps=600), 0.3, stopped=False) == []
+    assert light.heard(there, 0.4, stopped=False) == [], "somebody else moved it there"
+    light.begin(1578, far, 1.0)
+    assert light.heard(moving, 1.1, stopped=True) == [] == light.heard(there, 1.2, stopped=False)
+    light.begin(1578, far, 2.0)
+    assert light.heard(far, 1000.0, stopped=False) == [] == light.heard(there, 1000.1, stopped=False)
 
 
 def test_the_simulated_board_takes_one_pose_after_the_other_and_real_rigs_have_no_such_key(tmp_path):

@@ -9,7 +9,9 @@ from textual.binding import Binding
 from textual.containers import Vertical
 from textual.widgets import Input, Static
 
+from tui.messages import CommandAnswered
 from tui.scan_forms import parse_number
+from tui.screens.base import RigScreenBase
 from tui.screens.dialogs import Dialog, PlainInput
 
 
@@ -67,3 +69,29 @@ class Adjust(Dialog[None]):
             self.query_one("#wrong", Static).update(str(error))
             return
         self.dismiss(None)
+
+
+class LatestValue:
+    """Sends a setting that changes quickly: one command under way, then the newest value."""
+
+    def __init__(self, screen: RigScreenBase, setting: str) -> None:
+        self._screen, self._setting = screen, setting
+        self._busy = False
+        self._next: float | None = None
+
+    def set(self, value: float) -> None:
+        """Send the value, or keep it until the last one was answered."""
+        if self._busy:
+            self._next = value
+            return
+        self._busy = True
+        self._screen.send("camera", self._answered, **{self._setting: value})
+
+    def _answered(self, answer: CommandAnswered) -> None:
+        self._busy = False
+        if not answer.ok:
+            self._next = None
+            self._screen.say(f"camera: {answer.detail}", "error")
+        elif self._next is not None:
+            value, self._next = self._next, None
+            self.set(value)

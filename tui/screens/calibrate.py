@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +13,23 @@ from textual.containers import Horizontal
 from textual.message import Message
 
 from acquire.contract.errors import CalibrationError
-from acquire.contract.states import State
-from tui.calibration_rules import POSES, Situation, why_not
+from tui.board_watch import BoardWatch
+from tui.bring_light import BringLight, Command
+from tui.calibration_rules import (
+    CAMERA_GOAL,
+    PLANE_GOAL,
+    POSES,
+    Situation,
+    camera_hint,
+    plane_hint,
+    why_not,
+)
 from tui.calibration_session import BoardWords, CalibrationSession, parse_board
-from tui.calibration_words import Verdict, verdict_of
+from tui.calibration_words import Verdict, sweep_words, verdict_of
 from tui.jobs import Job
 from tui.messages import CommandAnswered
 from tui.scans import ScanEntry, ScanFolder
-from tui.screens.base import RigScreenBase
+from tui.screens.camera_screen import CameraScreen
 from tui.screens.dialogs import Field, Form
 from tui.view import RigView
 from tui.widgets.board_picture import BoardPicture
@@ -30,12 +38,7 @@ from tui.widgets.job_lines import JobLines
 from tui.widgets.rows import RowList
 from tui.words import is_running
 
-PREVIEW_HZ = 5.0
-WATCH = "board"
-"""Subject of the child that looks for the board."""
 LOOK_S = 2.0
-AGAIN_S, CANCELLED_S = 5.0, 0.5
-"""A child that ended by itself, or was asked to, is not started again before."""
 
 
 @dataclass
@@ -45,7 +48,7 @@ class BoardSeen(Message):
     facts: dict[str, Any]
 
 
-class CalibrateScreen(RigScreenBase):
+class CalibrateScreen(CameraScreen):
     """Camera first, then the light plane."""
 
     NAME = "calibrate"
@@ -53,17 +56,24 @@ class CalibrateScreen(RigScreenBase):
         "First the camera: pictures of a board in different tilts, one of them lying flat. Then the light plane: "
         "sweeps over the board flat and tilted. Nothing replaces a calibration in use by itself."
     )
-    WANTS_PICTURES = True
-    CHANGES = frozenset({"capture", "sweep", "pose", "object", "preview", "expose"})
+    CHANGES = frozenset({"capture", "sweep", "pose", "object"}) | CameraScreen.OF_CAMERA
     BINDINGS = [
         Binding("p", "preview", "preview", id="calibrate.preview", tooltip="camera pictures on or off"),
+        Binding("L", "lamp", "lamp", id="calibrate.lamp", tooltip="lamp on or off"),
+        Binding("t", "goto", "go to", id="calibrate.goto", tooltip="where the light shall stand"),
         Binding("b", "board", "board", id="calibrate.board", tooltip="squares, their size, kind"),
         Binding("c", "capture", "capture", id="calibrate.capture", tooltip="keep this view in full size"),
         Binding("u", "undo", "drop last", id="calibrate.undo", tooltip="put the last view aside"),
         Binding("g", "fit", "calibrate", id="calibrate.fit", tooltip="calibrate with what was collected"),
         Binding("m", "step", "next step", id="calibrate.step", tooltip="camera, light plane"),
         Binding("w", "sweep", "sweep", id="calibrate.sweep", tooltip="sweep over the board as it lies now"),
-        Binding("e", "expose", "expose", id="calibrate.expose", tooltip="search the exposure; light over the board"),
+        Binding(
+            "e",
+            "expose",
+            "expose",
+            id="calibrate.expose",
+            tooltip="search the exposure; for a sweep, light over the board",
+        ),
         Binding("enter", "use", "use or not", id="calibrate.use", tooltip="whether a sweep counts"),
         Binding("v", "verdict", "result", id="calibrate.verdict", tooltip="the last result, or the guidance"),
         Binding("n", "anew", "begin anew", id="calibrate.anew", tooltip="an empty session; this one stays"),
@@ -90,13 +100,11 @@ class CalibrateScreen(RigScreenBase):
         self._scans: ScanFolder | None = None
         self._entries: list[ScanEntry] = []
         self._left_out: set[str] = set()
-        self._facts: dict[str, Any] = {}
         self._plane_step = False
         self._verdicts: dict[bool, Verdict] = {}
         self._show_verdict = False
-        self._watcher: Job | None = None
-        self._watch_again_s = 0.0
-        self._watch_words = ""
+        self._watch = BoardWatch(lambda: self.shell.jobs, lambda facts: self.post_message(BoardSeen(facts)))
+        self._light = BringLight()
         self._pose = 0
 
     def body(self) -> ComposeResult:
@@ -112,7 +120,7 @@ class CalibrateScreen(RigScreenBase):
 
     def on_screen_suspend(self) -> None:
         """Nobody looks: nothing is looked for."""
-        self._stop_watching()
+        self._watch.stop()
 
     # ---- news ----
 
@@ -126,7 +134,9 @@ class CalibrateScreen(RigScreenBase):
         self._guide.border_title = "2 of 2: light plane" if self._plane_step else "1 of 2: camera"
         self._guide.show(self._guide_view(view))
         self._jobs.show(self.shell.jobs.work)
-        self._watch_or_not(view)
+        if view.status is not None:
+            self._send_all(self._light.heard(view.status, self.shell.now_s(), stopped=bool(view.stop_words)))
+        self._watch.follow(self._session.watch_command(), wanted=self._wanted(view))
 
     def _show_picture(self, view: RigView) -> None:
         if not view.connected:
@@ -135,14 +145,13 @@ class CalibrateScreen(RigScreenBase):
             self._picture.show(None, "no picture yet: p turns the preview on")
         elif self.shell.meter.may_send_picture():
             self._picture.show(view.picture, "", self.shell.meter.governor.detail)
-        live = self._facts.get("live") or {}
-        self._picture.mark(live.get("corners") or () if view.connected else ())
+        self._picture.mark(self._watch.live.get("corners") or () if view.connected else ())
 
     def _show_sweeps(self) -> None:
         chosen = {str(entry.folder) for entry in self._used}
         used, not_used = ("x", " ") if self.ascii_only else ("✓", "·")
         rows = [
-            Text(f"{used if str(e.folder) in chosen else not_used}  {e.folder.name}  {e.outcome_words}")
+            Text(f"{used if str(e.folder) in chosen else not_used}  {e.folder.name}  {sweep_words(e)}")
             for e in self._entries
         ]
         self._sweeps.border_title = "sweeps over the board"
@@ -153,14 +162,14 @@ class CalibrateScreen(RigScreenBase):
         verdict = self._verdicts.get(self._plane_step) if self._show_verdict else None
         board = self._session.board.words()
         if self._plane_step:
-            goal = "Sweep over the board flat, then tilted both ways: at least two poses. Limit: 1 um between them."
-            count = len(self._used)
-            hint = f"{count} sweep{'' if count == 1 else 's'} used. Not saturated: e sets the exposure, light on board"
-            return GuideView(goal, board, hint=hint, verdict=verdict)
-        goal = "Show the board flat and tilted to all sides, in all corners. Limit: 0.3 px."
-        live = str((self._facts.get("live") or {}).get("words") or "")
-        waiting = self._watch_words or ("" if self._facts or not self._wanted(view) else "looking for the board ...")
-        return GuideView(goal, board, live=self._watch_words or live or waiting, facts=self._facts, verdict=verdict)
+            hint = plane_hint(len(self._used))
+            return GuideView(PLANE_GOAL, board, hint=hint, verdict=verdict)
+        wanted, status = self._wanted(view), view.status
+        hint = ""
+        if wanted and verdict is None:
+            hint = camera_hint(lamp_on=status is not None and status.lamp_on, views=len(self._session.views))
+        live = self._watch.words(wanted=wanted) if verdict is None else ""
+        return GuideView(CAMERA_GOAL, board, live=live, facts=self._watch.facts, verdict=verdict, hint=hint)
 
     def _look(self) -> None:
         """The sweeps of the folder, now and then."""
@@ -185,37 +194,9 @@ class CalibrateScreen(RigScreenBase):
         looks = self.is_current and not self._plane_step
         return looks and view.connected and view.status is not None and not is_running(view.status)
 
-    def _watch_or_not(self, view: RigView) -> None:
-        if not self._wanted(view):
-            self._stop_watching()
-        elif self._watcher is None and time.monotonic() >= self._watch_again_s:
-            assert self._session is not None
-            self._watch_words = ""
-            self._watcher = self.shell.jobs.start(
-                "look for the board",
-                self._session.watch_command(),
-                WATCH,
-                self._watch_ended,
-                on_result=lambda facts: self.post_message(BoardSeen(facts)),
-                quiet=True,
-            )
-
-    def _watch_ended(self, job: Job) -> None:
-        """The child is gone: asked to, or by itself; then it is started again after a while, and its words are seen."""
-        if self._watcher is not None and self._watcher.number == job.number:
-            self._watcher = None
-        if not job.cancelled:
-            self._watch_again_s, self._watch_words = time.monotonic() + AGAIN_S, job.words
-
-    def _stop_watching(self) -> None:
-        if self._watcher is not None:
-            self.shell.jobs.cancel(self._watcher)
-            self._watcher, self._watch_again_s = None, time.monotonic() + CANCELLED_S
-
     def on_board_seen(self, message: BoardSeen) -> None:
         """What the child found."""
-        live = message.facts.get("live") or self._facts.get("live")
-        self._facts = {**message.facts, "live": live}
+        self._watch.take(message.facts)
         self.show_all(self.view)
 
     # ---- what can be done ----
@@ -236,13 +217,29 @@ class CalibrateScreen(RigScreenBase):
             has_verdict=self._plane_step in self._verdicts,
             works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
         )
-        return why_not(action, situation)
+        return why_not(action, situation) or super().why_not(action)
 
-    def action_preview(self) -> None:
-        """Pictures on or off."""
-        status = self.view.status
-        on = not (status is not None and (status.activity == "preview" or status.state == State.PREVIEW))
-        self.send("preview", on=on, rate_hz=PREVIEW_HZ)
+    def goto_first_offers(self) -> int:
+        """Where the sweep ends the light lies over all of the board; beyond it, its edge lies no more on a view."""
+        assert self.view.status is not None
+        return self.shell.draft.last_steps if self._plane_step else self.view.status.travel_steps[1]
+
+    def action_expose(self) -> None:
+        """Search the exposure once; for a sweep with the light over all of the board."""
+        if not self._plane_step:
+            super().action_expose()
+            return
+        assert self.view.status is not None
+        self._send_all(self._light.begin(self.shell.draft.last_steps, self.view.status, self.shell.now_s()))
+
+    def _send_all(self, commands: list[Command]) -> None:
+        def answered(answer: CommandAnswered) -> None:
+            if not answer.ok:
+                self._light.forget()
+                self.say(f"{answer.name}: {answer.detail}", "error")
+
+        for name, args in commands:
+            self.send(name, answered, **args)
 
     def action_board(self) -> None:
         """Ask what the board is."""
@@ -266,8 +263,7 @@ class CalibrateScreen(RigScreenBase):
 
     def _look_anew(self) -> None:
         """The child begins again with what is asked for now."""
-        self._facts = {}
-        self._stop_watching()
+        self._watch.begin_anew()
         self.show_all(self.view)
 
     def action_capture(self) -> None:
@@ -300,6 +296,7 @@ class CalibrateScreen(RigScreenBase):
     def action_step(self) -> None:
         """Camera, light plane."""
         self._plane_step = not self._plane_step
+        self._pose = 0  # the simulated board begins flat again
         self._show_verdict = self._plane_step in self._verdicts
         self.show_all(self.view)
         self._look()
@@ -322,10 +319,6 @@ class CalibrateScreen(RigScreenBase):
         """Sweep over the board as it lies."""
         draft = self.shell.draft
         self.send("scan", name=f"board-{len(self._entries) + 1}", **draft.plan_args(), purpose="calibration")
-
-    def action_expose(self) -> None:
-        """Search the exposure once, with the light over the board: saturated pixels tell nothing."""
-        self.send("expose")
 
     def action_pose(self) -> None:
         """The simulated board in the next pose."""
@@ -359,7 +352,7 @@ class CalibrateScreen(RigScreenBase):
                 self.say(self._verdicts[plane].headline, "info" if self._verdicts[plane].passed else "error")
             self.show_all(self.view)
 
-        stage = str(self._facts.get("stage_view") or "")
+        stage = str(self._watch.facts.get("stage_view") or "")
         scans = [entry.folder for entry in self._used]
         command = session.plane_command(scans) if plane else session.camera_command(stage)
         title = "calibrate the light plane" if plane else "calibrate the camera"

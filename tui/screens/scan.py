@@ -9,17 +9,15 @@ from textual.containers import Horizontal, Vertical
 from textual.events import Resize
 from textual.timer import Timer
 
-from acquire.contract.states import State
-from tui import scan_rules
 from tui.draft import Draft
 from tui.estimate import Estimate
-from tui.jog import JogGate, clip, next_size
 from tui.messages import CommandAnswered
-from tui.scan_forms import parse_name, parse_plan, parse_position, parse_words
+from tui.scan_forms import parse_name, parse_plan, parse_words
 from tui.screens import scan_keys
-from tui.screens.adjust import Adjust
-from tui.screens.base import RigScreenBase
+from tui.screens.adjust import Adjust, LatestValue
+from tui.screens.camera_screen import CameraScreen
 from tui.screens.dialogs import Field, Form
+from tui.screens.jogging import Jogging
 from tui.view import RigView
 from tui.widgets.log_tail import LogTail
 from tui.widgets.picture import MODES
@@ -31,8 +29,6 @@ TALL = 33
 """From this height on plan and progress are both in view."""
 SETTLE_S = 0.3
 """The estimate is asked for when the plan has not changed for so long."""
-PREVIEW_HZ = 5.0
-HOLD_RATE_STEPS_PER_S = 400.0
 _SETTINGS = {
     "exposure_ms": ("exposure", "ms", (0.01, 1000.0)),
     "gain": ("gain", "dB", (0.0, 48.0)),
@@ -40,13 +36,12 @@ _SETTINGS = {
 }
 
 
-class ScanScreen(RigScreenBase):
+class ScanScreen(CameraScreen):
     """Prepare a sweep and watch it."""
 
     NAME = "scan"
     SUMMARY = "Set the light with the specimen under it, set first and last, look at the estimate, start."
     SHOWS_LOG = True
-    WANTS_PICTURES = True
     CHANGES = scan_keys.CHANGES
     IN_PANES = scan_keys.IN_PANES
     BINDINGS = scan_keys.BINDINGS
@@ -68,8 +63,7 @@ class ScanScreen(RigScreenBase):
         self._plan = PlanPane(self.key_of, ascii_only=ascii_only)
         self._progress = ProgressPane(self.key_of, ascii_only=ascii_only)
         self._log = LogTail(ascii_only=ascii_only)
-        self._gate = JogGate()
-        self._fine_steps = 3
+        self._jogging = Jogging(self)
         self._settling: Timer | None = None
         self._estimated: tuple[Draft, float | None] | None = None
 
@@ -102,13 +96,13 @@ class ScanScreen(RigScreenBase):
         running = is_running(view.status)
         self.set_class(running, "running")
         self.set_class(not running, "resting")
-        self._stage.fine_steps, self._plan.draft = self._fine_steps, self.shell.draft
+        self._stage.fine_steps, self._plan.draft = self._jogging.fine_steps, self.shell.draft
         self._progress.note(view, self.shell.now_s())
         for pane in (self._stage, self._light, self._plan, self._progress):
             pane.show(view)
         self._log.show(self.shell.logbook)
         self._show_picture(view)
-        self._go_on_jogging(view)
+        self._jogging.follow(view)
         self._estimate_when_settled(view)
 
     def _show_picture(self, view: RigView) -> None:
@@ -124,10 +118,6 @@ class ScanScreen(RigScreenBase):
             if binding.action == action:
                 return self.shell.key_words(binding), not self.why_not_now(action)
         return "", False
-
-    def why_not(self, action: str) -> str:
-        """The rig's state decides."""
-        return scan_rules.why_not(action, self.view.status)
 
     # ---- the plan and what it takes ----
 
@@ -242,20 +232,6 @@ class ScanScreen(RigScreenBase):
 
     # ---- light and camera ----
 
-    def action_preview(self) -> None:
-        """Pictures on or off."""
-        status = self.view.status
-        on = not (status is not None and (status.activity == "preview" or status.state == State.PREVIEW))
-        self.send("preview", on=on, rate_hz=PREVIEW_HZ)
-
-    def action_lamp(self) -> None:
-        """Lamp on or off."""
-        self.send("lamp", on=not (self.view.status is not None and self.view.status.lamp_on))
-
-    def action_expose(self) -> None:
-        """Find the exposure once."""
-        self.send("expose")
-
     def action_adjust(self, setting: str) -> None:
         """Change one setting of the camera."""
         status = self.view.status
@@ -263,7 +239,7 @@ class ScanScreen(RigScreenBase):
         title, unit, widest = _SETTINGS[setting]
         limits = status.camera_limits.get(setting, widest)
         value = status.camera.get(setting, limits[0])
-        setter = _Setter(self, setting)
+        setter = LatestValue(self, setting)
         self.shell.push_screen(Adjust(title, unit, value, limits, setter.set))
 
     def action_picture(self) -> None:
@@ -275,50 +251,17 @@ class ScanScreen(RigScreenBase):
     # ---- the stage ----
 
     def action_jog(self, steps: int) -> None:
-        """One bounded move; what the keyboard repeats meanwhile is ignored."""
-        status = self.view.status
-        assert status is not None
-        move = clip(
-            status.position_steps, steps * self._fine_steps, status.travel_steps, self.shell.draft.um_per_microstep
-        ) if status.position_trusted else None  # fmt: skip
-        wanted = move.steps if move is not None else steps * self._fine_steps
-        if move is not None and move.words:
-            self.say(f"jog: {move.words}", "warning")
-        if wanted:
-            self._send_jog(self._gate.press(wanted, self.shell.now_s()))
-
-    def _send_jog(self, steps: int) -> None:
-        if not steps:
-            return
-
-        def answered(answer: CommandAnswered) -> None:
-            self._gate.answered(ok=answer.ok, at_ns=answer.at_mono_ns)
-            if not answer.ok:
-                self.say(f"jog: {answer.detail}", "error")
-
-        self.send("jog", answered, steps=steps)
-
-    def _go_on_jogging(self, view: RigView) -> None:
-        status = view.status
-        if status is None:
-            return
-        if view.stop_words:
-            self._gate.forget()
-        moving = status.state == State.MOVING
-        self._send_jog(self._gate.heard(moving=moving, said_ns=status.sent_mono_ns, now_s=self.shell.now_s()))
+        """One bounded move."""
+        assert self.view.status is not None
+        self._jogging.press(steps, self.view.status)
 
     def action_hold(self, direction: int) -> None:
-        """Move on while the key is held: each fresh press renews the lease."""
-        if self._gate.hold(self.shell.now_s()):
-            self.send("jog_hold", self._held, direction=direction, rate_steps_per_s=HOLD_RATE_STEPS_PER_S)
-
-    def _held(self, answer: CommandAnswered) -> None:
-        if not answer.ok:
-            self.say(f"held move: {answer.detail}", "error")
+        """Move on while the key is held."""
+        self._jogging.hold(direction)
 
     def action_size(self, direction: int) -> None:
         """Another fine step."""
-        self._fine_steps = next_size(self._fine_steps, direction)
+        self._jogging.resize(direction)
         self.show_all(self.view)
 
     def action_home(self) -> None:
@@ -328,45 +271,3 @@ class ScanScreen(RigScreenBase):
     def action_zero(self) -> None:
         """Make this position the zero."""
         self.send("zero")
-
-    def action_goto(self) -> None:
-        """Ask where to."""
-        draft, status = self.shell.draft, self.view.status
-        assert status is not None
-        low, high = status.travel_steps
-        where = Field("where", "go to", str(status.position_steps), help=f"microsteps {low} to {high}, or um (5010um)")
-
-        def go(position: int | None) -> None:
-            if position is not None:
-                self.send("goto", position_steps=position)
-
-        def parse(texts: dict[str, str]) -> int:
-            return parse_position(texts["where"], draft.um_per_microstep)
-
-        self.shell.push_screen(Form("go to", [where], parse, done="moves"), go)
-
-
-class _Setter:
-    """Sends a setting that changes quickly: one command under way, then the newest value."""
-
-    def __init__(self, screen: ScanScreen, setting: str) -> None:
-        self._screen, self._setting = screen, setting
-        self._busy = False
-        self._next: float | None = None
-
-    def set(self, value: float) -> None:
-        """Send the value, or keep it until the last one was answered."""
-        if self._busy:
-            self._next = value
-            return
-        self._busy = True
-        self._screen.send("camera", self._answered, **{self._setting: value})
-
-    def _answered(self, answer: CommandAnswered) -> None:
-        self._busy = False
-        if not answer.ok:
-            self._next = None
-            self._screen.say(f"camera: {answer.detail}", "error")
-        elif self._next is not None:
-            value, self._next = self._next, None
-            self.set(value)
