@@ -11,7 +11,7 @@ import zmq
 
 from acquire.contract.clocks import Clock
 from acquire.contract.errors import ProtocolError, SweepscopeError
-from acquire.contract.lanes import Received, Sender, receive
+from acquire.contract.lanes import Received, Sender, arrived
 from acquire.contract.messages import Command, Reply
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
@@ -40,17 +40,15 @@ class CommandLane:
 
     def serve(self) -> bool:
         """Answer what has come, as much as fits into one turn; True if there was anything."""
-        for count in range(MOST_PER_TURN):
-            try:
-                received = receive(self.socket)
-            except ProtocolError as error:
-                self.malformed += 1
-                log_now_and_then(logger, self.malformed, f"command lane: {error}")
-                continue
-            if received is None:
-                return count > 0
+        before, answered = self.malformed, 0
+        for received in arrived(self.socket, MOST_PER_TURN, self._unreadable):
             self._answer(received)
-        return True
+            answered += 1
+        return answered > 0 or self.malformed > before
+
+    def _unreadable(self, error: ProtocolError) -> None:
+        self.malformed += 1
+        log_now_and_then(logger, self.malformed, f"command lane: {error}")
 
     def _answer(self, received: Received) -> None:
         command = received.message

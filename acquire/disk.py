@@ -75,16 +75,7 @@ def reserve(fd: int, size_bytes: int) -> bool:
     Raises:
         OSError: no space, or another failure of the disk.
     """
-    # 64-bit offsets also on a 32-bit machine, where plain fallocate takes 32
-    call = getattr(_libc, "fallocate64", _libc.fallocate)
-    call.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
-    while call(fd, 0, 0, size_bytes) != 0:
-        number = ctypes.get_errno()
-        if number in _NO_RESERVATION:
-            return False
-        if number != errno.EINTR:
-            raise OSError(number, os.strerror(number))
-    return True
+    return _fallocate(fd, 0, 0, size_bytes)
 
 
 def punch(fd: int, offset: int, size_bytes: int) -> bool:
@@ -96,9 +87,14 @@ def punch(fd: int, offset: int, size_bytes: int) -> bool:
     Raises:
         OSError: the disk refused.
     """
+    return _fallocate(fd, _PUNCH_HOLE_KEEP_SIZE, offset, size_bytes)
+
+
+def _fallocate(fd: int, mode: int, offset: int, size_bytes: int) -> bool:
+    # 64-bit offsets also on a 32-bit machine, where plain fallocate takes 32
     call = getattr(_libc, "fallocate64", _libc.fallocate)
     call.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
-    while call(fd, _PUNCH_HOLE_KEEP_SIZE, offset, size_bytes) != 0:
+    while call(fd, mode, offset, size_bytes) != 0:
         number = ctypes.get_errno()
         if number in _NO_RESERVATION:
             return False

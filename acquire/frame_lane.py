@@ -10,7 +10,7 @@ from typing import Any
 import zmq
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.lanes import Received, Sender, receive
+from acquire.contract.lanes import Received, Sender, arrived
 from acquire.contract.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
 from acquire.contract.units import NS_PER_S
 
@@ -89,15 +89,7 @@ class FrameLane:
     def poll(self, now_ns: int) -> list[LaneEvent]:
         """Handle what the writer sent; resend what was refused for lack of space once its time has come."""
         events: list[LaneEvent] = []
-        for _ in range(MAX_BURST):
-            try:
-                received = receive(self.socket)
-            except ProtocolError as error:
-                self.counters["malformed"] += 1
-                log_now_and_then(logger, self.counters["malformed"], f"frames lane: {error}")
-                continue
-            if received is None:
-                break
+        for received in arrived(self.socket, MAX_BURST, self._unreadable):
             event = self._take(received, now_ns)
             if event is not None:
                 events.append(event)
@@ -105,6 +97,10 @@ class FrameLane:
             self._retry_at_ns = 0
             self._replay()
         return events
+
+    def _unreadable(self, error: ProtocolError) -> None:
+        self.counters["malformed"] += 1
+        log_now_and_then(logger, self.counters["malformed"], f"frames lane: {error}")
 
     def _take(self, received: Received, now_ns: int) -> LaneEvent | None:
         message, routing_id = received.message, received.routing_id or b""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -118,6 +118,21 @@ def receive(socket: zmq.Socket[Any]) -> Received | None:
     except zmq.Again:
         return None
     return _assemble(parts, routed=socket.type == zmq.ROUTER)
+
+
+def arrived(
+    socket: zmq.Socket[Any], most: int, on_malformed: Callable[[ProtocolError], Any] = lambda _error: None
+) -> Iterator[Received]:
+    """The messages that are there now, up to ``most``; what forms none is told to ``on_malformed`` and passed over."""
+    for _ in range(most):
+        try:
+            received = receive(socket)
+        except ProtocolError as error:
+            on_malformed(error)
+            continue
+        if received is None:
+            return
+        yield received
 
 
 def _assemble(parts: Sequence[zmq.Frame], *, routed: bool) -> Received:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from process.calibration.boards import Board
     from process.calibration.guidance import ViewFacts
 
+MOST_AT_ONCE = 100
 PAUSE_S = 0.2
 """Rest between two looks: detection must not take the machine from a worker."""
 
@@ -114,8 +115,7 @@ def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
     import numpy as np
     import zmq
 
-    from acquire.contract.errors import ProtocolError
-    from acquire.contract.lanes import connect, receive
+    from acquire.contract.lanes import arrived, connect
     from acquire.contract.messages import Picture
     from acquire.contract.places import client_run_dir
     from process.calibration.guidance import look
@@ -125,16 +125,10 @@ def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
     try:
         while True:
             changed = collected.look()
-            newest = None
             socket.poll(500)
-            while True:
-                try:
-                    received = receive(socket)
-                except ProtocolError:
-                    continue
-                if received is None:
-                    break
-                newest = received
+            newest = None
+            for newest in arrived(socket, MOST_AT_ONCE):  # noqa: B007 - the last one is wanted
+                pass
             live = None
             if newest is not None and isinstance(newest.message, Picture) and newest.payload is not None:
                 pixels = np.frombuffer(newest.payload.buffer, np.uint8).reshape(newest.message.shape)
