@@ -1,4 +1,9 @@
-"""The console: a client of the daemon that shows the rig and steers it; its end never touches a sweep."""
+"""The console: a client of the daemon that shows the rig and steers it; its end never touches a sweep.
+
+It is long because Textual hands all news, keys and actions to this one object. What can be decided without it stands
+elsewhere: what news means (`narration`, `fault_book`), STOP (`stopping`), jobs (`job_desk`), commands (`errands`), the
+terminal's link (`driver`), and what each screen can do.
+"""
 
 from __future__ import annotations
 
@@ -194,9 +199,8 @@ class ConsoleApp(App[None]):
 
     def on_progress_arrived(self, message: ProgressArrived) -> None:
         """The worker's news."""
-        said = self.view.progress.message if self.view.progress else ""
-        if message.progress.message not in ("", said):
-            self.say(f"worker: {message.progress.message}", "warning")
+        for text, level in self._narrator.worker_said(message.progress):
+            self.say(text, level)
         self.refresh_view(progress=message.progress)
 
     def on_picture_arrived(self, message: PictureArrived) -> None:

@@ -71,7 +71,7 @@ def plane_verdict(plane: dict[str, Any]) -> Verdict:
     surfaces = [surface for surface in quality.get("surfaces") or [] if isinstance(surface, dict)]
     reasons = [f"{s.get('name')}: {s.get('cause')}" for s in surfaces if not s.get("ok", True)]
     lines = [
-        f"{_short(str(s.get('name')))}  mean {_um(s.get('mean_um'))}  RMS {_um(s.get('rms_um'))}  "
+        f"{_short(str(s.get('name')))}  mean {_um(s.get('mean_um'), '+')}  RMS {_um(s.get('rms_um'))}  "
         f"trend {_um(s.get('slope_um'))}  {'ok' if s.get('ok', True) else 'FAILED'}"
         for s in surfaces
     ]
@@ -119,6 +119,6 @@ def _px(value: float | None) -> str:
     return "an unknown distance" if value is None else f"{value:.4f} px"
 
 
-def _um(value: Any) -> str:
+def _um(value: Any, sign: str = "") -> str:
     number = _number(value)
-    return "?" if number is None else f"{number:+.2f} um"
+    return "?" if number is None else f"{number:{sign}.2f} um"

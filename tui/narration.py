@@ -1,10 +1,11 @@
-"""What a new state of the rig means as lines for the log; says each fault and each end once."""
+"""What a new state of rig or worker means as lines for the log; says each fault, each end and each trouble once."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
-from acquire.contract.messages import Status
+from acquire.contract.messages import ResultProgress, Status
 from acquire.contract.states import Outcome
 from tui.words import is_running, outcome_line, state_words
 
@@ -13,14 +14,25 @@ Said = tuple[str, str]
 
 
 class Narrator:
-    """Remembers which faults were said."""
+    """Remembers which faults were said, and what the worker said of the scan."""
 
     def __init__(self) -> None:
         self._faults: set[tuple[str, int]] = set()
+        self._worker: tuple[str, set[str]] = ("", set())
 
     def said(self, before: Status | None, now: Status) -> list[Said]:
         """The lines that the change from ``before`` to ``now`` is worth."""
         return [*_state(before, now), *self._new_faults(now), *_end(before, now)]
+
+    def worker_said(self, progress: ResultProgress) -> list[Said]:
+        """The worker's words, once for each scan, whatever numbers are in them: a busy one says them in each frame."""
+        if self._worker[0] != progress.scan_uid:
+            self._worker = (progress.scan_uid, set())
+        kind = re.sub(r"\d+", "#", progress.message)
+        if not kind or kind in self._worker[1]:
+            return []
+        self._worker[1].add(kind)
+        return [(f"worker: {progress.message}", "warning")]
 
     def _new_faults(self, now: Status) -> Iterator[Said]:
         for fault in now.faults:

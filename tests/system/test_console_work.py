@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 
 from acquire.capture import write_png
+from acquire.contract.calibration import load_calibration
 from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import Renderer, build_scene
+from acquire.simulation.calibration import ideal_calibration
 from tests.fakes.small_scans import make_scan
+from tests.system.appliance import Appliance
 from tests.system.test_cli_tmux import CONSOLE, Terminal, terminal
 from tests.unit.rig_in_process import RigInProcess
 from tui.calibration_session import BoardWords, CalibrationSession
@@ -67,3 +72,48 @@ def test_a_camera_is_calibrated_with_a_view_that_is_captured_from_the_terminal(t
         terminal.press("q")
         terminal.wait_for("STATUS=0", deadline_s=20.0)
     assert session.document()["camera"]["width"] == 256
+
+
+BOARD = {"CAMERA__WIDTH": 384, "CAMERA__HEIGHT": 288, "SIMULATION__COLOUR": "false", "SWEEP__STEPS_PER_FRAME": 9,
+         "SIMULATION__BOARD_COLUMNS": 20, "SIMULATION__BOARD_ROWS": 15, "SWEEP__MAX_RATE_HZ": 15}  # fmt: skip
+"""The board fills the field: so its poses are told from small pictures as well."""
+
+
+def with_known_camera(data_dir) -> dict:
+    """A session whose first step is done; returns the exact calibration."""
+    scene = build_scene(SimulationConfig(), width=384, height=288, um_per_microstep=3.175)
+    exact = ideal_calibration(scene, first_steps=0, steps_per_frame=9, count=176)
+    session = CalibrationSession(data_dir)
+    session.keep_board(BoardWords(columns=20, rows=15))
+    session.result.write_text(json.dumps({name: exact[name] for name in ("format", "version", "camera")}))
+    return exact
+
+
+def test_the_light_plane_is_calibrated_from_the_terminal_with_sweeps_over_the_board_flat_and_tilted(
+    terminal, run_dir, tmp_path
+):
+    exact = with_known_camera(tmp_path)
+    rig = Appliance(run_dir, tmp_path, **BOARD)
+    terminal._environ |= {name: value for name, value in rig.environ.items() if name.startswith("SWEEPSCOPE_")}
+    try:
+        rig.start("daemon", "writer")
+        rig.client().close()
+        terminal.open(*CONSOLE, width=160, height=50)
+        terminal.wait_for("IDLE", deadline_s=20.0)
+        terminal.press("3", "m")
+        for number in (1, 2):
+            terminal.press("P")
+            terminal.wait_for(f"tilted by 0 and {0 if number == 1 else -14} degrees", deadline_s=SLOW_S)
+            terminal.press("e")
+            terminal.wait_for("of full scale; locked", deadline_s=SLOW_S)
+            terminal.press("w")
+            terminal.wait_for(f"board-{number}  SAVED", deadline_s=SLOW_S)
+        terminal.press("g")
+        terminal.wait_for("PASSED: 2 surfaces", deadline_s=SLOW_S)
+        terminal.press("q")
+        terminal.wait_for("STATUS=0", deadline_s=20.0)
+    finally:
+        rig.close()
+    found, _ = load_calibration(CalibrationSession(tmp_path).result)
+    cosine = np.dot(found.light_plane.normal, exact["light_plane"]["normal"])
+    assert np.degrees(np.arccos(cosine)) < 0.5

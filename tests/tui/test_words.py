@@ -9,6 +9,7 @@ from acquire.contract.messages import FaultReport, Proposal
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tui.fit import shorten, spread
+from tui.narration import Narrator
 from tui.sizes import parse_size
 from tui.words import (
     bar,
@@ -147,3 +148,16 @@ def test_status_says_what_runs_beside_a_sweep_who_holds_control_and_what_was_pro
     assert "doing     prescan  42 %" in said and "control   anna on pts/3" in said
     assert "proposal  300 to 1020, 241 frames, 15 ms" in said and "warning   it is lit in the first look" in said
     assert not any(line.startswith(("doing", "control", "proposal")) for line in status_lines(IDLE))
+
+
+def test_what_a_busy_worker_says_in_each_frame_is_one_line_of_the_log_for_each_scan():
+    narrator = Narrator()
+
+    def said(words: str, scan_uid: str = "a") -> list[str]:
+        progress = msgspec.structs.replace(PROGRESS, scan_uid=scan_uid, message=words)
+        return [text for text, _level in narrator.worker_said(progress)]
+
+    assert said("reading frame 7 from the scan file") == ["worker: reading frame 7 from the scan file"]
+    assert said("") == said("reading frame 9 from the scan file") == []
+    assert said("no calibration") == ["worker: no calibration"]
+    assert len(said("reading frame 2 from the scan file", "b")) == 1
