@@ -43,7 +43,7 @@ def drive(
         async with app.run_test(size=size) as pilot:
             await script(Stage(app, pilot))
 
-    asyncio.run(asyncio.wait_for(play(), 20))
+    asyncio.run(asyncio.wait_for(play(), 60))
 
 
 def replace(status, **changes):

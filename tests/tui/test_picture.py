@@ -93,7 +93,7 @@ def test_the_widget_draws_half_blocks_or_characters_and_marks_clipping(mode, sig
                 colours = {segment.style.color.triplet for segment in strip if segment.text.startswith("▀")}
                 assert any(c.red > 200 and c.green < 100 for c in colours)
 
-    asyncio.run(asyncio.wait_for(play(), 20))
+    asyncio.run(asyncio.wait_for(play(), 60))
 
 
 def test_the_widget_shows_words_where_there_is_no_picture():
@@ -109,7 +109,7 @@ def test_the_widget_shows_words_where_there_is_no_picture():
             text = "".join(live.render_line(y).text for y in range(16))
             assert "no picture yet" in text and "v starts the preview" in text
 
-    asyncio.run(asyncio.wait_for(play(), 20))
+    asyncio.run(asyncio.wait_for(play(), 60))
 
 
 # ---- the governor ----

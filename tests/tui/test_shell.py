@@ -225,7 +225,7 @@ def test_the_panes_show_keys_that_the_operator_chose():
             await pilot.press("h", "H")
             assert [name for name, _ in app._link.sent if name == "home"] == ["home"]
 
-    asyncio.run(asyncio.wait_for(play(), 20))
+    asyncio.run(asyncio.wait_for(play(), 60))
 
 
 def test_colours_change_by_key_and_nothing_else_does():
