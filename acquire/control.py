@@ -44,7 +44,7 @@ class Control:
             CommandRefusedError: a client without a name, or one that does not hold what it renews or gives back.
         """
         if not client:
-            raise CommandRefusedError("a client without a name cannot hold control: say who you are")
+            raise CommandRefusedError("control is held under a name, and a command has one at a terminal only")
         holder = self.holder(now_ns)
         if action != "take" and holder != client:
             who = f"{holder} holds control" if holder else "nobody holds control"

@@ -19,9 +19,9 @@ from acquire.contract.messages import FrameFormat
 from acquire.contract.units import NS_PER_MS
 
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
+from .reading import Reading
 
 logger = logging.getLogger(__name__)
-_JOIN_S = 10.0
 _MOST_WAITING = 64
 """Shots that may wait for their frame; a sweep in step mode has one."""
 
@@ -68,8 +68,7 @@ class FreeRunningCamera:
         self._sink: CameraSink = lambda _event: None
         self._waiting: deque[int] = deque(maxlen=_MOST_WAITING)
         self._lock = threading.Lock()
-        self._thread: threading.Thread | None = None
-        self._ending = threading.Event()
+        self._reading = Reading(f"{source.kind}-camera", self._serve)
         self._armed = False
         self._frame_id = 0
         self._exposure_ns = 0
@@ -77,20 +76,15 @@ class FreeRunningCamera:
     def open(self, sink: CameraSink) -> CameraInfo:
         """Connect the source and read on."""
         self._sink = sink
-        self._ending.clear()
         frame_format = self._source.open()
-        self._thread = threading.Thread(target=self._serve, name=f"{self._source.kind}-camera", daemon=True)
-        self._thread.start()
+        self._reading.begin()
         limits = self._source.limits()
         return CameraInfo(kind=self._source.kind, format=frame_format, counts_frames=False, limits=limits)
 
     def close(self) -> None:
         """Stop reading, disconnect; idempotent."""
         self._armed = False
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(timeout=_JOIN_S)
-            self._thread = None
+        self._reading.end()
         self._source.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -126,7 +120,7 @@ class FreeRunningCamera:
 
     def _serve(self) -> None:
         began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-        while not self._ending.is_set():
+        while not self._reading.ending:
             try:
                 pixels = self._source.grab()
             except SweepscopeError as error:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +24,7 @@ from acquire.contract.errors import ConfigError, SweepscopeError
 from acquire.contract.messages import FrameFormat
 
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
+from .reading import Reading
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +47,6 @@ _ERRORS: Final = (GenApiError, GenTLError, RuntimeError, OSError, ValueError)
 """What the camera makers' libraries raise."""
 _PATH = "GENICAM_GENTL64_PATH"
 _FETCH_S = 0.1
-_JOIN_S = 5.0
 _GRAB_S = 5.0
 _US_PER_MS = 1000.0
 
@@ -256,25 +255,19 @@ class GenicamCamera:
         self._sink: CameraSink = lambda _event: None
         self._armed = False
         self._snaps = 0
-        self._ending = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._reading = Reading("genicam-camera", self._serve)
 
     def open(self, sink: CameraSink) -> CameraInfo:
         """Connect, wait for triggers."""
         self._sink = sink
         frame_format = self._device.open(self._line)
-        self._ending.clear()
-        self._thread = threading.Thread(target=self._serve, name="genicam-camera", daemon=True)
-        self._thread.start()
+        self._reading.begin()
         return CameraInfo(kind="genicam", format=frame_format, limits=self._device.limits())
 
     def close(self) -> None:
         """Disconnect; idempotent."""
         self._armed = False
-        self._ending.set()
-        if self._thread is not None:
-            self._thread.join(timeout=_JOIN_S)
-            self._thread = None
+        self._reading.end()
         self._device.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -295,7 +288,7 @@ class GenicamCamera:
         self._device.trigger_by_software(self._line)
 
     def _serve(self) -> None:
-        while not self._ending.is_set():
+        while not self._reading.ending:
             try:
                 frame = self._device.fetch(_FETCH_S)
             except _ERRORS as error:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
-import select
 import threading
 import time
 from collections.abc import Callable
@@ -19,36 +17,16 @@ import serial
 from acquire.contract.errors import SweepscopeError
 from acquire.framing import Block, BlockReader, encode_block
 
+from .handshake import new_nonce, shake_hands
+from .line import LinkLostError, read_now, wait_readable, write_now
 from .sending import Command, SendWindow, Timing
-from .wire import (
-    PROTOCOL_MAJOR,
-    PROTOCOL_MINOR,
-    WIRE_CRC,
-    AckBody,
-    Cmd,
-    EventBody,
-    HelloBody,
-    HelloReplyBody,
-    Msg,
-    ReportBody,
-    Result,
-    unpack_report,
-)
+from .wire import AckBody, Cmd, EventBody, HelloReplyBody, Msg, ReportBody, Result, unpack_report
 
 logger = logging.getLogger(__name__)
 
 _IDLE_S = 0.02
 """Longest rest of the thread: it also asks the handler for its poll this often."""
-_HELLO_AGAIN_S = 0.1
 _REOPEN_S = 0.2
-
-
-class LinkLostError(SweepscopeError):
-    """The controller does not answer."""
-
-
-class FirmwareMismatchError(SweepscopeError):
-    """Something answers, but it is no firmware that this driver can trust."""
 
 
 class LinkHandler(Protocol):
@@ -182,7 +160,7 @@ class Link:
 
     def _run(self) -> None:
         try:
-            hello, _same = self._shake_hands(_new_nonce(), 0)
+            hello, _same = self._shake_hands(new_nonce(), 0)
         except (SweepscopeError, OSError) as error:
             self._first_hello.set_exception(
                 error if isinstance(error, SweepscopeError) else LinkLostError(f"the stage's port failed: {error}")
@@ -219,38 +197,19 @@ class Link:
             now_s = time.monotonic()
             out, self._realtime = self._realtime, b""
             out += b"".join(encode_block(block) for block in self._window.due(now_s))
-        self._write_all(port, out)
-
-    def _write_all(self, port: serial.Serial, out: bytes) -> None:
-        """A pty or USB buffer takes some kilobytes: what does not fit now is lost to the line, and sent again."""
-        if out:
-            with contextlib.suppress(BlockingIOError):
-                os.write(port.fileno(), out)
+        write_now(port, out)
 
     def _wait(self, port: serial.Serial) -> None:
         deadline_s = self._window.deadline_s
         rest_s = _IDLE_S if deadline_s is None else min(max(deadline_s - time.monotonic(), 0.0), _IDLE_S)
-        _until_readable(rest_s, port.fileno(), self._wake_read)
+        wait_readable(rest_s, port.fileno(), self._wake_read)
         with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 4096)
 
     def _read(self, port: serial.Serial) -> None:
-        try:
-            data = os.read(port.fileno(), 4096)
-        except BlockingIOError:
-            return
-        if not data and not self._alive(port):
-            raise LinkLostError("the cable was pulled")
-        for block in self._reader.feed(data):
+        for block in self._reader.feed(read_now(port)):
             self._heard_s = time.monotonic()
             self._take(port, block)
-
-    def _alive(self, port: serial.Serial) -> bool:
-        """An empty read means no data, or a line that is gone: asking for the count tells."""
-        try:
-            return port.in_waiting >= 0
-        except OSError:
-            return False
 
     def _take(self, port: serial.Serial, block: Block) -> None:
         try:
@@ -258,7 +217,7 @@ class Link:
                 raise LinkLostError("the stage's controller has restarted")
             with self._lock:
                 again = self._window.take(block, time.monotonic())
-            self._write_all(port, b"".join(encode_block(each) for each in again))
+            write_now(port, b"".join(encode_block(each) for each in again))
             if block.kind == Msg.REPORT:
                 self._handler.on_report(*unpack_report(block.body))
         except ValueError as error:
@@ -280,7 +239,7 @@ class Link:
             return
         self.lost_count += 1
         old_nonce, self._nonce = self._nonce, 0
-        nonce = _new_nonce()  # one for all tries: an answer may be lost after the firmware has taken it over
+        nonce = new_nonce()  # one for all tries: an answer may be lost after the firmware has taken it over
         self._fail_all(detail)
         self._handler.on_lost(detail)
         while not self._closing:
@@ -296,7 +255,7 @@ class Link:
             return
 
     def _pause(self, duration_s: float) -> None:
-        _until_readable(duration_s, self._wake_read)
+        wait_readable(duration_s, self._wake_read)
         with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 4096)
 
@@ -313,67 +272,12 @@ class Link:
             command.answer.set_exception(LinkLostError(detail))
 
     def _shake_hands(self, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
-        port = self._need_port()
-        deadline_s = time.monotonic() + self._timing.hello_s
-        hello = encode_block(Block(0, Cmd.HELLO, HelloBody(PROTOCOL_MAJOR, PROTOCOL_MINOR, nonce).pack()))
-        heard = b""
-        while time.monotonic() < deadline_s and not self._closing:
-            self._write_all(port, hello)
-            again_s = time.monotonic() + _HELLO_AGAIN_S
-            while (now_s := time.monotonic()) < again_s and not self._closing:
-                data = self._read_raw(port, again_s - now_s)
-                heard = (heard + data)[:64]
-                for block in self._reader.feed(data):
-                    if block.kind == Msg.HELLO:
-                        return self._accept(HelloReplyBody.unpack(block.body), nonce, old_nonce)
-        raise _nobody(heard)
-
-    def _read_raw(self, port: serial.Serial, timeout_s: float) -> bytes:
-        _until_readable(timeout_s, port.fileno())
-        try:
-            data = os.read(port.fileno(), 4096)
-        except BlockingIOError:
-            return b""
-        if not data and not self._alive(port):
-            raise LinkLostError("the cable was pulled")
-        return data
-
-    def _accept(self, hello: HelloReplyBody, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
-        if hello.major != PROTOCOL_MAJOR:
-            raise FirmwareMismatchError(
-                f"the firmware speaks protocol {hello.major}.{hello.minor}, this program {PROTOCOL_MAJOR}."
-                f"{PROTOCOL_MINOR}: nothing has moved; flash the firmware of this version (make -C firmware flash)"
-            )
-        if hello.wire_crc != WIRE_CRC:
-            raise FirmwareMismatchError(
-                f"the firmware was built from other declarations ({hello.wire_crc:08x}) than this program "
-                f"({WIRE_CRC:08x}): nothing has moved; flash the firmware of this version (make -C firmware flash)"
-            )
+        """A new session; True if the controller still is what it was in the old one."""
+        within_s = self._timing.hello_s
+        hello = shake_hands(self._need_port(), self._reader, nonce, within_s, lambda: self._closing)
         same = old_nonce != 0 and hello.previous_nonce == old_nonce and hello.boot_id == self._boot_id
         with self._lock:
             self._window.reset()
             self._nonce, self._boot_id = nonce, hello.boot_id
             self._heard_s = time.monotonic()
         return hello, same
-
-
-def _new_nonce() -> int:
-    return secrets.randbelow(0xFFFF_FFFF) + 1
-
-
-def _until_readable(timeout_s: float, *fds: int) -> None:
-    poller = select.poll()
-    for fd in fds:
-        poller.register(fd, select.POLLIN)
-    poller.poll(timeout_s * 1000)
-
-
-def _nobody(heard: bytes) -> SweepscopeError:
-    if heard:
-        return FirmwareMismatchError(
-            f"another firmware answers on the stage's port ({heard[:16].hex(' ')} ...): nothing has moved; "
-            "flash ours (make -C firmware flash), or name another port in stage.port"
-        )
-    return LinkLostError(
-        "nothing answers on the stage's port: is the controller powered, is it the right port, is our firmware on it?"
-    )

@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from acquire.contract.errors import CommandRefusedError, ConfigError
 from acquire.framing import Block
 
-from .link import LinkLostError
+from .line import LinkLostError
 from .protocol import Moved, Segment, StageInfo, StageSink
 from .uno_config import segment_body
 from .uno_reports import Activity, UnoReports, result_of

@@ -13,7 +13,8 @@ import serial
 from acquire.contract.config_model import StageConfig
 from acquire.framing import Block
 
-from .link import Link, LinkLostError, LinkTiming
+from .line import LinkLostError
+from .link import Link, LinkTiming
 from .ports import choose_port, open_port
 from .protocol import Alarm, Held, Moved, Segment, SegmentDone, StageSink, StageStatus, Stopped, Triggered
 from .uno_config import config_body

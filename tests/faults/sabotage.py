@@ -289,7 +289,7 @@ def _no_boot_id() -> None:
 
 
 def _no_handshake() -> None:
-    from acquire.stages import link
+    from acquire.stages import handshake
 
     class Any_(int):
         def __eq__(self, other: object) -> bool:
@@ -300,8 +300,8 @@ def _no_handshake() -> None:
 
         __hash__ = int.__hash__
 
-    _replace(link, "PROTOCOL_MAJOR", Any_(link.PROTOCOL_MAJOR))
-    _replace(link, "WIRE_CRC", Any_(link.WIRE_CRC))
+    _replace(handshake, "PROTOCOL_MAJOR", Any_(handshake.PROTOCOL_MAJOR))
+    _replace(handshake, "WIRE_CRC", Any_(handshake.WIRE_CRC))
 
 
 def _no_lease() -> None:

@@ -9,7 +9,9 @@ import pytest
 from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.emulator import Emulator, build_firmware
-from acquire.stages.link import FirmwareMismatchError, LinkLostError, LinkTiming
+from acquire.stages.handshake import FirmwareMismatchError
+from acquire.stages.line import LinkLostError
+from acquire.stages.link import LinkTiming
 from acquire.stages.ports import PortError, open_port
 from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.stages.uno import UnoStage

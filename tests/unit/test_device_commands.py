@@ -71,7 +71,7 @@ def test_settings_are_set_by_name_and_shown_with_their_limits(rig, sweepscope):
         (("goto", "5000"), 1, "stage.travel_max_steps = 4500"),
         (("scan", "--from-proposal"), 1, "sweepscope prescan --wait"),
         (("estimate", "--last-steps", "9000"), 1, "outside the stage's travel"),
-        (("control", "take"), 1, "say who you are"),
+        (("control", "take"), 1, "at a terminal only"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(rig, sweepscope, arguments, exit_status, words):

@@ -148,7 +148,7 @@ def test_control_is_taken_over_given_back_and_then_anybody_may_act(start_rig):
 
 
 def test_a_client_without_a_name_cannot_hold_control(start_rig):
-    with pytest.raises(CommandRefusedError, match="say who you are"):
+    with pytest.raises(CommandRefusedError, match="at a terminal only"):
         start_rig().ask("control", action="take")
 
 

@@ -1,0 +1,36 @@
+"""A camera's reading in a thread of its own, so that no old picture waits in a buffer; begun and ended, never both."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+_JOIN_S = 10.0
+"""A read that is under way may take so long to come back."""
+
+
+class Reading:
+    """Calls ``serve`` in a thread; it comes back soon after :attr:`ending` has become true."""
+
+    def __init__(self, name: str, serve: Callable[[], None]) -> None:
+        self._name, self._serve = name, serve
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def ending(self) -> bool:
+        """True when ``serve`` shall come back."""
+        return self._ending.is_set()
+
+    def begin(self) -> None:
+        """Start the thread."""
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._serve, name=self._name, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """End the thread and wait for it; idempotent."""
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join(timeout=_JOIN_S)
+            self._thread = None
