@@ -18,7 +18,8 @@ from acquire.contract.layout import OWNER_LOCK_NAME, PARTIAL_NAME
 from acquire.contract.messages import FrameFormat, Start
 from acquire.contract.places import FileLock
 from acquire.contract.plan import SweepPlan
-from acquire.contract.scan_reader import ScanLayout, ScanReader, read_marks
+from acquire.contract.scan_layout import ScanLayout
+from acquire.contract.scan_reader import ScanReader, read_marks
 from acquire.contract.units import UM_PER_MM
 
 from .overlap import OverlapLimits

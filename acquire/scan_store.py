@@ -18,7 +18,8 @@ from acquire.contract.errors import ScanFileError
 from acquire.contract.layout import FRAME_FIELDS, MEASURED, MEASURED_BYTES, OUTCOME_BYTES, REASON_BYTES, FrameStatus
 from acquire.contract.messages import Image
 from acquire.contract.outcome import frame_crc32
-from acquire.contract.scan_reader import ScanLayout, ScanReader, read_layout
+from acquire.contract.scan_layout import ScanLayout, read_layout
+from acquire.contract.scan_reader import ScanReader
 from acquire.contract.states import Outcome
 
 from .disk import disk_error, write_at

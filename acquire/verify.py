@@ -17,7 +17,8 @@ from acquire.contract.layout import CHECK_ROLES, PARTIAL_NAME, PROGRAM_NAME, Fra
 from acquire.contract.messages import FrameFormat
 from acquire.contract.notes import notes_of
 from acquire.contract.outcome import frame_crc32, outcome_words, scan_digest
-from acquire.contract.scan_reader import ScanLayout, ScanReader
+from acquire.contract.scan_layout import ScanLayout
+from acquire.contract.scan_reader import ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 from acquire.contract.units import format_bytes
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError, SweepscopeError
 from acquire.contract.messages import FrameFormat, Start
-from acquire.contract.scan_reader import zero_id_in
+from acquire.contract.scan_layout import zero_id_in
 from acquire.contract.units import format_bytes
 
 from .estimates.early import EarlyEstimates

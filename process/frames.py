@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.outcome import frame_crc32, scan_digest
-from acquire.contract.scan_reader import ScanLayout, ScanReader
+from acquire.contract.scan_layout import ScanLayout
+from acquire.contract.scan_reader import ScanReader
 
 from .estimates.columns import ReadColumns, gathered
 from .fold import to_grey

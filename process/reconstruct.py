@@ -10,7 +10,7 @@ import numpy as np
 
 from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.outcome import outcome_words
-from acquire.contract.scan_reader import ScanLayout
+from acquire.contract.scan_layout import ScanLayout
 
 from .cursor import FoldCursor
 from .frames import ScanFrames

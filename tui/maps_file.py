@@ -11,7 +11,7 @@ import numpy as np
 from acquire.contract.errors import ScanFileError
 from acquire.contract.layout import MAPS_NAME
 from acquire.contract.messages import ResultProgress
-from acquire.contract.scan_reader import read_layout
+from acquire.contract.scan_layout import read_layout
 from tui.maps import MEDIAN_PX, MapSet
 from tui.view import MapsView
 

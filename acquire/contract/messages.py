@@ -1,4 +1,7 @@
-"""Every message of every lane as a frozen struct with its bounds; what does not fit never gets past the codec."""
+"""Every message of every lane as a frozen struct with its bounds; what does not fit never gets past the codec.
+
+It is long because it is one thing: the wire format, which has one version and one set of golden bytes.
+"""
 
 from __future__ import annotations
 

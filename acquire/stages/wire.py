@@ -1,7 +1,8 @@
 """What firmware and host agree on: the numbers and bodies of firmware/protocol.h, once more in Python.
 
 A test compares every number and structure with the header; ``WIRE_CRC`` is the checksum of its declarations, which the
-firmware repeats in its handshake, so that a driver never talks to a firmware of another shape.
+firmware repeats in its handshake, so that a driver never talks to a firmware of another shape. Both are as long as the
+protocol is.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from typing import Any
 
 from acquire.contract.calibration import load_calibration
 from acquire.contract.errors import CalibrationError, SweepscopeError
-from acquire.contract.scan_reader import ScanLayout, read_layout
+from acquire.contract.scan_layout import ScanLayout, read_layout
 from process.reconstruct import recorded_in
 from process.settings import ReconstructOptions, settle
 

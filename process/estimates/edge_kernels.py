@@ -2,7 +2,8 @@
 
 The model of a pixel's samples is low + height Phi((t - crossing) / width), t in frames, in the folded signal,
 with the variance noise[0] + noise[1] x level; samples at noise[2] or below and at noise[3] or above are clipped, and
-say only on which side of them the light was. Everything is float64, in the written order.
+say only on which side of them the light was. Everything is float64, in the written order. All of it stands in one file,
+because compiled code that is kept on disk is made anew when its own file changes, not when one that it calls does.
 """
 
 # ruff: noqa: PLR0915 - unrolled sums: an array per sample would cost more than the arithmetic

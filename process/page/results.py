@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.scan_reader import ScanLayout, read_layout
+from acquire.contract.scan_layout import ScanLayout, read_layout
 from process.cloud import LEFT_OUT
 from process.outputs import ResultPaths
 from process.ply import read_vertices

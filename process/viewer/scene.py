@@ -15,7 +15,7 @@ from acquire.contract.calibration import Calibration, load_calibration, parse_ca
 from acquire.contract.clocks import Clock
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messages import Status
-from acquire.contract.scan_reader import read_layout
+from acquire.contract.scan_layout import read_layout
 from acquire.contract.units import NS_PER_S
 
 from .cloud import Cloud

@@ -18,7 +18,7 @@ from acquire.contract.layout import FRAME_FIELDS
 from acquire.contract.messages import FrameFormat, Image, Start
 from acquire.contract.outcome import frame_crc32
 from acquire.contract.plan import SweepPlan
-from acquire.contract.scan_reader import read_layout
+from acquire.contract.scan_layout import read_layout
 from acquire.contract.states import Outcome
 from acquire.scan_file import create_scan
 from process.frames import displayed

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from acquire.contract.scan_reader import read_layout
+from acquire.contract.scan_layout import read_layout
 from acquire.verify import info
 from tui.cli import cli
 

@@ -76,7 +76,7 @@ def notes(scan: Path, as_json: bool, **wanted: Any) -> None:
     import msgspec
 
     from acquire.contract.notes import notes_of, write_notes
-    from acquire.contract.scan_reader import read_layout
+    from acquire.contract.scan_layout import read_layout
     from tui.scans import held, scan_folder
 
     folder = scan_folder(scan)

@@ -53,7 +53,7 @@ def quarter_circle(
     The corner, both straight edges and the arc are found in every frame. Points given by hand are the fall-back:
     corner in two frames or more, lead_end (end of the leading edge) and side_end (end of the other one)."""
     from acquire.contract.calibration import load_calibration
-    from acquire.contract.scan_reader import read_layout
+    from acquire.contract.scan_layout import read_layout
     from process.calibration.documents import read_document, utc_now, write_document
     from process.calibration.pages import quarter_circle_page, write_page
     from process.calibration.slide_optics import Slide
