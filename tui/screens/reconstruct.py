@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Grid
@@ -14,8 +12,9 @@ from textual.widgets import Static
 
 from acquire.contract.errors import SweepscopeError
 from tui.jobs import Job
-from tui.maps import MapSet, Quantity, Window, counts_of, histogram, layers_of, mask_of, sample_at, values_at, window_on
+from tui.maps import MapSet, Quantity
 from tui.maps_file import maps_of_sweep, read_maps
+from tui.maps_in_view import MOST_CONTRAST, MapsInView
 from tui.scan_words import reconstruct_words
 from tui.screens.base import RigScreenBase
 from tui.screens.dialogs import Field, Form
@@ -26,7 +25,6 @@ from tui.widgets.map_view import MapView
 from tui.words import is_running
 
 METHODS = ("as recorded", "auto", "fit", "probit", "linear")
-BINS = 128
 
 
 class ReconstructScreen(RigScreenBase):
@@ -72,11 +70,7 @@ class ReconstructScreen(RigScreenBase):
         self._nothing = Static("", id="nothing", markup=False)
         self._pane = ContrastPane(ascii_only=ascii_only)
         self._jobs = JobLines(ascii_only=ascii_only)
-        self._maps: MapSet | None = None
-        self._mask: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
-        self._histogram: tuple[int, ...] = ()
-        self._window: Window | None = None
-        self._contrast: int | None = None
+        self._seen = MapsInView()
         self._alone: Quantity | None = None
         self._method = 0
         self._folder: Path | None = None
@@ -96,8 +90,8 @@ class ReconstructScreen(RigScreenBase):
 
     def open_scan(self, folder: Path) -> None:
         """Show the maps of an older scan."""
-        self._folder, self._maps, self._problem, self._last = folder, None, "", ""
-        self._contrast = None
+        self._folder, self._problem, self._last = folder, "", ""
+        self._seen.forget(threshold=True)
         self.shell.run_worker(self._read(folder), exit_on_error=False)
 
     async def _read(self, folder: Path) -> None:
@@ -114,8 +108,8 @@ class ReconstructScreen(RigScreenBase):
 
     def show(self, view: RigView) -> None:
         """The sweep's newest maps, unless an older scan is looked at."""
-        if self._folder is None and self._maps is not None and _is_of_another_scan(view):
-            self._maps = None
+        if self._folder is None and _is_of_another_scan(view):
+            self._seen.forget()
         if self._folder is None and view.maps is not self._live and not _is_of_another_scan(view):
             assert view.maps is not None
             self._live = view.maps
@@ -125,16 +119,8 @@ class ReconstructScreen(RigScreenBase):
         self._jobs.show(self.shell.jobs.work)
 
     def _take(self, maps: MapSet) -> None:
-        self._maps, self._problem = maps, ""
-        if self._contrast is None:
-            self._contrast = maps.contrast
-        self._window = window_on(maps, self._window)
-        self._histogram = tuple(int(count) for count in histogram(maps, BINS))
-        self._threshold()
-
-    def _threshold(self) -> None:
-        if self._maps is not None and self._contrast is not None:
-            self._mask = mask_of(self._maps, self._contrast)
+        self._problem = ""
+        self._seen.take(maps)
         self._draw()
 
     # ---- what is seen ----
@@ -147,24 +133,23 @@ class ReconstructScreen(RigScreenBase):
     def _draw(self) -> None:
         if not self.is_mounted:
             return
-        maps, window = self._maps, self._window
-        self.query_one("#maps").display, self._nothing.display = maps is not None, maps is None
+        seen = self._seen
+        self.query_one("#maps").display, self._nothing.display = seen.maps is not None, seen.maps is None
         most_across = self._arrange()
-        if maps is None or window is None:
+        if seen.maps is None or seen.window is None:
             self._nothing.update(self._problem or self._waiting_words())
-            self._pane.show(ContrastView(source=self._source(), warning=self._problem, contrast=self._contrast or 0))
+            self._pane.show(ContrastView(source=self._source(), warning=self._problem, contrast=seen.contrast or 0))
             return
-        for layer in layers_of(maps, self._mask):
-            self._views[layer.quantity].show(layer, window, most_across)
-        assert self._contrast is not None
+        for layer in seen.layers():
+            self._views[layer.quantity].show(layer, seen.window, most_across)
         self._pane.show(
             ContrastView(
                 source=self._source(),
-                contrast=self._contrast,
-                counts=counts_of(maps, self._mask, self._contrast),
-                histogram=self._histogram,
-                values=values_at(maps, self._mask, window).words() + (f"   zoom {window.zoom}" * (window.zoom > 1)),
-                settings=self._settings_words(maps),
+                contrast=seen.contrast or 0,
+                counts=seen.counts(),
+                histogram=seen.histogram,
+                values=seen.words(),
+                settings=self._settings_words(seen.maps),
             )
         )
 
@@ -175,7 +160,7 @@ class ReconstructScreen(RigScreenBase):
     def _arrange(self) -> int:
         """Choose how the maps stand; returns how many cells wide each may be."""
         grid = self.query_one("#maps", Grid)
-        rows, columns = self._maps.shape if self._maps else (3, 4)
+        rows, columns = self._seen.maps.shape if self._seen.maps else (3, 4)
         place = self.query_one("#body").size
         width, height = max(8, place.width - 2), max(4, place.height - self._pane.outer_size.height)
         row = min(width / 4 / columns, 2 * (height - 2) / rows)
@@ -200,12 +185,12 @@ class ReconstructScreen(RigScreenBase):
     def _source(self) -> str:
         if self._folder is not None:
             return f"{self._folder.name} (maps.h5)"
-        status, maps = self.view.status, self._maps
+        status, maps = self.view.status, self._seen.maps
         name = Path(status.scan_path).name if status and status.scan_path else "the sweep"
         return f"live: {name}" + (f", through frame {maps.folded_through} of {maps.frames}" if maps else "")
 
     def _settings_words(self, maps: MapSet) -> str:
-        below = self._contrast is not None and self._contrast < maps.contrast
+        below = self._seen.contrast is not None and self._seen.contrast < maps.contrast
         hint = f"; crossings under {maps.contrast} are not known until g makes it" if below else ""
         sampled = f", 1 pixel of {maps.step} each way shown" if maps.step > 1 else ""
         last = f"   {self._last}" if self._last else ""
@@ -225,7 +210,7 @@ class ReconstructScreen(RigScreenBase):
         """Maps must be there; a scan that is running is not made again."""
         job = self.shell.jobs.board.running_on(str(self._scan)) if self._scan else None
         if action in ("contrast", "threshold", "zoom", "cursor"):
-            return "" if self._maps is not None else "there are no maps to see"
+            return "" if self._seen.maps is not None else "there are no maps to see"
         if action == "cancel":
             return "" if job else "nothing runs"
         if action == "live":
@@ -241,39 +226,37 @@ class ReconstructScreen(RigScreenBase):
 
     def action_contrast(self, counts: int) -> None:
         """Another threshold."""
-        if self._contrast is not None:
-            self._contrast = max(0, min(255, self._contrast + counts))
-            self._threshold()
+        if self._seen.contrast is not None:
+            self._set_contrast(self._seen.contrast + counts)
+
+    def _set_contrast(self, contrast: int) -> None:
+        self._seen.set_contrast(contrast)
+        self._draw()
 
     def action_threshold(self) -> None:
         """Type it."""
-        field = Field("contrast", "contrast", str(self._contrast), help="0 to 255 counts of 8 bit")
+        field = Field("contrast", "contrast", str(self._seen.contrast), help="0 to 255 counts of 8 bit")
 
         def take(contrast: int | None) -> None:
             if contrast is not None:
-                self._contrast = contrast
-                self._threshold()
+                self._set_contrast(contrast)
 
         self.shell.push_screen(Form("contrast threshold", [field], _contrast), take)
 
     def action_zoom(self, steps: int) -> None:
         """Nearer or further."""
-        if self._window is not None:
-            self._window = self._window.zoomed(steps)
-            self._draw()
+        self._seen.zoom(steps)
+        self._draw()
 
     def action_cursor(self, down: int, right: int) -> None:
         """Move by about one cell of what is drawn."""
-        if self._window is not None:
-            stride = self._window.stride(self._first_view.picture_cells[1])
-            self._window = self._window.moved(down * stride, right * stride)
-            self._draw()
+        self._seen.move(down, right, self._first_view.picture_cells[1])
+        self._draw()
 
     def on_map_view_pointed(self, message: MapView.Pointed) -> None:
         """The cursor goes where it was clicked."""
-        if self._window is not None:
-            self._window = sample_at(self._window, message.row, message.column, message.rows, message.columns)
-            self._draw()
+        self._seen.point(message.row, message.column, message.rows, message.columns)
+        self._draw()
 
     def action_which(self) -> None:
         """One map, the next, all."""
@@ -288,7 +271,8 @@ class ReconstructScreen(RigScreenBase):
 
     def action_live(self) -> None:
         """Back to the sweep."""
-        self._folder, self._maps, self._live, self._contrast = None, None, None, None
+        self._folder, self._live = None, None
+        self._seen.forget(threshold=True)
         self.show_all(self.view)
 
     def action_make(self) -> None:
@@ -309,8 +293,8 @@ class ReconstructScreen(RigScreenBase):
         scan = self._scan
         assert scan is not None
         arguments = ["reconstruct", str(scan), "--json", "--progress"]
-        if self._contrast is not None:
-            arguments += ["--contrast", str(self._contrast)]
+        if self._seen.contrast is not None:
+            arguments += ["--contrast", str(self._seen.contrast)]
         if self._method:
             arguments += ["--method", METHODS[self._method]]
         if out is not None:
@@ -340,7 +324,7 @@ def _is_of_another_scan(view: RigView) -> bool:
 
 
 def _contrast(texts: dict[str, str]) -> int:
-    if not texts["contrast"].isdigit() or int(texts["contrast"]) > 255:
+    if not texts["contrast"].isdigit() or int(texts["contrast"]) > MOST_CONTRAST:
         raise ValueError("give a whole number from 0 to 255")
     return int(texts["contrast"])
 
