@@ -32,7 +32,7 @@ class Narrator:
         if not kind or kind in self._worker[1]:
             return []
         self._worker[1].add(kind)
-        return [(f"worker: {progress.message}", "warning")]
+        return [(f"worker: {progress.message}", "warning" if progress.scan_uid else "info")]
 
     def _new_faults(self, now: Status) -> Iterator[Said]:
         for fault in now.faults:
