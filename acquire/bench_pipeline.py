@@ -130,6 +130,7 @@ def _figures(marks: Marks, frames: int, shape: tuple[int, int], copy_ns: float) 
         "live_unsent": marks.live_unsent,
         "sealed_after_last_commit_s": (marks.sealed_ns - marks.committed_ns) / 1e9,
         "results_after_last_fold_s": (marks.results_ns - marks.folded_ns) / 1e9,
+        "worker_cpu_ms_per_frame": {what: seconds * 1e3 / frames for what, seconds in marks.worker_s.items()},
         "cpu_ms_per_frame": {name: seconds * 1e3 / frames for name, seconds in marks.cpu_s.items()},
         "cores": os.cpu_count(),
     }

@@ -49,6 +49,8 @@ class Marks:
     result_end: ResultEnd | None = None
     live_unsent: int = 0
     counts: dict[str, int] = field(default_factory=dict)
+    worker_s: dict[str, float] = field(default_factory=dict)
+    """Processor time of the worker by what it was spent on, as its report says."""
     cpu_s: dict[str, float] = field(default_factory=dict)
     """Processor time from the first frame until everything is on disk, by process."""
 
@@ -119,14 +121,17 @@ class Publisher:
         self._until(lambda: marks.end_ack is not None and marks.result_end is not None, RUN_S, "the end")
         marks.cpu_s = {name: now - before[name] for name, now in self._cpu_s().items()}
         self._check(end.digest)
-        marks.counts = self._counts()
+        self._read_report()
         return marks
 
-    def _counts(self) -> dict[str, int]:
-        """What the worker's report says of where frames came from."""
+    def _read_report(self) -> None:
+        """Where the worker's frames came from, and what it spent its time on."""
         assert self.marks.result_end is not None
         report = msgspec.json.decode(Path(self.marks.result_end.report_path).read_bytes())
-        return {name: int(report["counts"][name]) for name in ("from_live", "from_file", "refolded")}
+        self.marks.counts = {name: int(report["counts"][name]) for name in ("from_live", "from_file", "refolded")}
+        for stage, seconds in report["processor_s"].items():
+            what = {"estimate_early": "ahead"}.get(stage, "fold" if stage.startswith("fold") else "results")
+            self.marks.worker_s[what] = self.marks.worker_s.get(what, 0.0) + seconds
 
     def _cpu_s(self) -> dict[str, float]:
         """Processor time of each process so far, in s."""

@@ -26,6 +26,7 @@ from acquire.contract.places import endpoint, lock_service, prepare_run_dir
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 from .disk_thread import DiskThread
+from .freed_memory import keep_freed_memory
 from .recover import RecoverOptions, recover
 from .scan_session import ScanSession
 
@@ -44,6 +45,7 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="writer %(levelname)s %(message)s")
     lock = lock_service(prepare_run_dir(run_dir), "writer")
+    keep_freed_memory()
     context: zmq.Context[Any] = zmq.Context()
     try:
         service = WriterService(_connect(context, run_dir), config)

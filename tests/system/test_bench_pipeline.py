@@ -17,6 +17,7 @@ def test_a_small_sweep_gets_through_writer_and_worker() -> None:
     assert figures["from_live"] + figures["from_file"] == 40
     assert figures["frames_per_s"] > 0
     assert figures["ratio"] == pytest.approx(figures["frame_ms"] / figures["memcpy_ms"])
+    assert figures["worker_cpu_ms_per_frame"]["fold"] > 0 and figures["worker_cpu_ms_per_frame"]["results"] > 0
     assert set(figures["cpu_ms_per_frame"]) == {"publisher", "writer", "worker"}
 
 
