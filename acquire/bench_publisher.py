@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.errors import NoServiceError, SweepscopeError
-from acquire.contract.lanes import Sender, bind, connect, receive
+from acquire.contract.lanes import Sender, bind, connect, receive, shared
 from acquire.contract.messages import End, EndAck, FrameFormat, Image, ResultEnd, ResultProgress, Start, Status
 from acquire.contract.outcome import frame_crc32, scan_digest
 from acquire.contract.plan import SweepPlan
@@ -158,8 +158,9 @@ class Publisher:
             dtype="|u1",
             crc32=crc32,
         )
-        self._lane.offer(image, pixels)
-        self.marks.live_unsent += not self._live.send(image, pixels)
+        part = shared(pixels)
+        self._lane.offer(image, part)
+        self.marks.live_unsent += not self._live.send(image, part)
         self.preview.keep(View(pixels, image.position_steps, image.position_um, 0.0, frame_index))
 
     def _until(self, fact: Callable[[], bool], deadline_s: float, what: str) -> None:

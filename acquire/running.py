@@ -14,7 +14,7 @@ import cv2
 from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
-from acquire.contract.lanes import Sender
+from acquire.contract.lanes import Sender, shared
 from acquire.contract.layout import MARKS_NAME, OWNER_LOCK_NAME, TRUTH_NAME
 from acquire.contract.messages import FaultReport, Image
 from acquire.stages.protocol import Alarm
@@ -160,8 +160,9 @@ class RunningScan:
 
     def _publish(self, image: Image, pixels: NDArray[Any]) -> None:
         """The lossless lane first; the live lane may drop, and counts it."""
-        self._lane.offer(image, pixels)
-        if not self._live.send(image, pixels):
+        part = shared(pixels)
+        self._lane.offer(image, part)
+        if not self._live.send(image, part):
             self.live_drops += 1
         if image.role == "sweep":
             start = self.prepared.start

@@ -77,7 +77,7 @@ class Window:
 
     def kept_bytes(self) -> int:
         """Bytes of pixels that are kept."""
-        return sum(frame.pixels.nbytes for frame in self.kept.values())
+        return sum(memoryview(frame.pixels).nbytes for frame in self.kept.values())
 
 
 def slots_for(window_bytes: int, frame_bytes: int, wanted: int = 512) -> int:

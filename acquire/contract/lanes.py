@@ -63,6 +63,14 @@ def connect(context: zmq.Context[Any], kind: int, run_dir: Path, lane: str) -> z
     return socket
 
 
+def shared(pixels: Any) -> zmq.Frame:
+    """Pixels as one part for messages on several lanes, not copied (but small ones), so they must not change any more.
+
+    Each socket would otherwise wrap them anew, and another thread be told when it is done with them.
+    """
+    return zmq.Frame(pixels)
+
+
 @dataclass
 class Sender:
     """Stamps sequence, epoch and time onto messages of one lane and sends them."""

@@ -1,0 +1,56 @@
+"""What several lanes carry at once: one frame, whole on each of them, and let go of when all have sent it."""
+
+from __future__ import annotations
+
+import time
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from zmq.utils import garbage
+
+from acquire.contract.lanes import Received, Sender, bind, connect, receive, shared
+from acquire.contract.messages import Hello
+
+DEADLINE_S = 10.0
+LANES = ("frames", "live")
+
+
+@pytest.fixture
+def ends(run_dir: Path) -> Iterator[list[tuple[Sender, zmq.Socket[Any]]]]:
+    """A sender and a receiver on each lane."""
+    context: zmq.Context[Any] = zmq.Context()
+    made = [
+        (Sender(bind(context, zmq.PAIR, run_dir, lane)), connect(context, zmq.PAIR, run_dir, lane)) for lane in LANES
+    ]
+    yield made
+    for sender, socket in made:
+        sender.socket.close(0)
+        socket.close(0)
+    context.term()
+    garbage.gc.stop()  # the thread that lets go of what was sent
+
+
+def arrived(socket: zmq.Socket[Any]) -> Received:
+    assert socket.poll(DEADLINE_S * 1000), "nothing came"
+    found = receive(socket)
+    assert found is not None and found.payload is not None
+    return found
+
+
+def test_a_frame_that_two_lanes_share_arrives_whole_on_both_and_is_let_go(ends):
+    pixels = np.arange(90_000, dtype=np.uint16).reshape(300, 300)
+    expected, gone = pixels.tobytes(), weakref.ref(pixels)
+    part = shared(pixels)
+    for sender, _ in ends:
+        assert sender.socket.poll(DEADLINE_S * 1000, zmq.POLLOUT) and sender.send(Hello(pid=1), part)
+    assert [arrived(socket).payload.bytes for _, socket in ends] == [expected] * len(ends)
+    del pixels, part
+    end = time.monotonic() + DEADLINE_S
+    while gone() is not None:
+        assert time.monotonic() < end, "somebody still holds the frame"
+        time.sleep(0.005)
