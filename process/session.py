@@ -138,7 +138,7 @@ class ScanSession:
     @property
     def behind(self) -> bool:
         """Frames were taken that are not folded, and they will not come on the live lane."""
-        return not self.cursor.done and (self.ended or self.lag_frames > 0)
+        return not self.cursor.done and self.lag_frames > 0
 
     @property
     def wants_file(self) -> bool:
@@ -217,8 +217,9 @@ class ScanSession:
 
     @property
     def lag_frames(self) -> int:
-        """Frames that were taken, as far as the live lane tells, and are not folded yet."""
-        return max(self.newest_live + 1 - self.cursor.next_index, 0)
+        """Frames that were taken, as far as the live lane tells, and are not folded yet; after the end all of these."""
+        taken = self.announced.count if self.ended else self.newest_live + 1
+        return max(taken - self.cursor.next_index, 0)
 
     def _words(self) -> str:
         if self.failure:
