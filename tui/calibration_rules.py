@@ -17,6 +17,10 @@ POSES: tuple[dict[str, Any], ...] = tuple(
     )
 )  # fmt: skip
 """Poses of the simulated board that cover field and tilts; the first lies flat."""
+PLANE_POSES: tuple[dict[str, Any], ...] = tuple(
+    {"tilt_x_deg": tilt_x, "tilt_y_deg": 0.0, "moved_um": [0.0, 0.0, 0.0]} for tilt_x in (0.0, 12.0, -12.0)
+)
+"""Poses for sweeps: in the middle, where the light passes, and tilted across its direction: all about as bright."""
 
 
 @dataclass(frozen=True)

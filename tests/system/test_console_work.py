@@ -103,7 +103,7 @@ def test_the_light_plane_is_calibrated_from_the_terminal_with_sweeps_over_the_bo
         terminal.press("3", "m")
         for number in (1, 2):
             terminal.press("P")
-            terminal.wait_for(f"tilted by 0 and {0 if number == 1 else -14} degrees", deadline_s=SLOW_S)
+            terminal.wait_for(f"tilted by {0 if number == 1 else 12} and 0 degrees", deadline_s=SLOW_S)
             terminal.press("e")
             terminal.wait_for("of full scale; locked", deadline_s=SLOW_S)
             terminal.press("w")

@@ -18,6 +18,7 @@ from tui.bring_light import BringLight, Command
 from tui.calibration_rules import (
     CAMERA_GOAL,
     PLANE_GOAL,
+    PLANE_POSES,
     POSES,
     Situation,
     camera_hint,
@@ -322,7 +323,8 @@ class CalibrateScreen(CameraScreen):
 
     def action_pose(self) -> None:
         """The simulated board in the next pose."""
-        pose = POSES[self._pose % len(POSES)]
+        poses = PLANE_POSES if self._plane_step else POSES
+        pose = poses[self._pose % len(poses)]
         self._pose += 1
         self.send("specimen", object="checkerboard", **pose)
 
