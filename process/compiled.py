@@ -21,6 +21,7 @@ SOURCES = (
     "quality",
     "crossing_kernels",
     "colour",
+    "estimates/edge_start",
     "estimates/edge_kernels",
     "estimates/block_kernels",
     "estimates/noise",

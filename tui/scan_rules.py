@@ -22,7 +22,9 @@ _STATES: dict[str, frozenset[str]] = {
     "prescan": RESTING,
 }
 _BUSY = frozenset({"start", "expose", "lamp", "home", "zero", "goto", "prescan", "jog", "hold", "adjust"})
-"""What does not go together with a pre-scan or an exposure search."""
+"""What does not go together with :data:`ACTIVITIES`."""
+ACTIVITIES = frozenset({"exposure", "prescan", "specimen", "capture"})
+"""What the rig does one at a time, and soon ends."""
 _TRUSTED = frozenset({"start", "goto", "prescan", "set_first", "set_last"})
 _KNOWN = _BUSY | _TRUSTED | _STATES.keys() | {"use_proposal"}
 
@@ -56,6 +58,11 @@ def _by_rest(action: str, status: Status) -> str:
         return "there is no proposal: w looks for the bounds"
     if action in _TRUSTED and not status.position_trusted:
         return "the position is not trusted: h homes"
-    if action in _BUSY and status.activity in ("exposure", "prescan"):
-        return f"{status.activity} is running: wait, or STOP"
-    return ""
+    return busy_words(status) if action in _BUSY else ""
+
+
+def busy_words(status: Status | None) -> str:
+    """Why the rig begins nothing else now; empty if it may."""
+    if status is None or status.activity not in ACTIVITIES:
+        return ""
+    return f"{status.activity} is running: wait, or STOP"

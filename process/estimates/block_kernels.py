@@ -8,7 +8,8 @@ import numpy as np
 
 from process.compiled import inlined_kernel, kernel
 from process.crossing_kernels import probit_fraction
-from process.estimates.edge_kernels import SHARP, find_edge, fit_edge, sharp_samples
+from process.estimates.edge_kernels import SHARP, fit_edge
+from process.estimates.edge_start import find_edge, sharp_samples
 from process.quality import Quality
 
 FAR = 200

@@ -252,6 +252,16 @@ def test_for_a_sweep_the_exposure_is_searched_when_the_light_has_come_over_the_b
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
+def test_nothing_is_begun_while_the_simulated_board_is_laid(tmp_path):
+    async def script(stage):
+        stage.watch_jobs()
+        await stage.connect(msgspec.structs.replace(IDLE, activity="specimen"))
+        await stage.press("c", "P", "e")
+        assert stage.sent == [] and "specimen is running: wait" in stage.log
+
+    play(script, screen="calibrate", data_dir=tmp_path)
+
+
 def test_for_a_view_the_exposure_is_searched_where_the_stage_is(tmp_path):
     async def script(stage):
         stage.watch_jobs()

@@ -29,6 +29,7 @@ from tui.calibration_session import BoardWords, CalibrationSession, parse_board
 from tui.calibration_words import Verdict, sweep_words, verdict_of
 from tui.jobs import Job
 from tui.messages import CommandAnswered
+from tui.scan_rules import busy_words
 from tui.scans import ScanEntry, ScanFolder
 from tui.screens.camera_screen import CameraScreen
 from tui.screens.dialogs import Field, Form
@@ -218,7 +219,8 @@ class CalibrateScreen(CameraScreen):
             has_verdict=self._plane_step in self._verdicts,
             works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
         )
-        return why_not(action, situation) or super().why_not(action)
+        busy = busy_words(status) if action in ("capture", "sweep", "pose", "object") else ""
+        return why_not(action, situation) or busy or super().why_not(action)
 
     def goto_first_offers(self) -> int:
         """Where the sweep ends the light lies over all of the board; beyond it, its edge lies no more on a view."""
