@@ -20,8 +20,9 @@ BONE_ALBEDO = (0.87, 0.775, 0.635)
 BONE_STAIN = (0.60, 0.38, 0.24)
 WHITE_ALBEDO = (0.82, 0.815, 0.80)
 BLACK_ALBEDO = 0.05
-BOARD_BLUR_SHARE = 0.8
-"""Width of a printed square's edge in the picture, in pixels: the camera's own sharpness."""
+BOARD_BLUR_SHARE = 1.0
+"""Width of a printed square's edge in the picture, in pixels: a pixel averages over its own area, no edge is narrower.
+(A narrower one, looked at in the pixels' middles only, hides where it is: corners are then off by up to 0.1 px.)"""
 OCCLUSION_REACH_MM = (0.06, 0.15, 0.35)
 
 

@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import robust
+from .joint import Moved
 from .surfaces import Surface
 
 F8 = NDArray[np.float64]
 LIMIT_UM = 1.0
 """A surface whose mean residual is larger contradicts the others."""
+MOVED_CHI2 = 30.0
+"""Chi squared, of six, beyond which the light moved a board by more than its corners' noise allows."""
 BEND_LIMIT_UM = 3.0
 """A residual that is bent by more over the field shows something that is not flat or not straight."""
 
@@ -39,14 +42,16 @@ class SurfaceResult:
     cause: str
     map_um: F8
     """[h, w] residual; NaN where not used."""
+    moved: Moved | None = None
+    """By how much light and other boards moved this one from where its own corners put it; None for flats."""
 
 
 def surface_results(
-    surfaces: Sequence[Surface], points: Sequence[F8], heights: F8, a: F8, b: float
+    surfaces: Sequence[Surface], points: Sequence[F8], heights: F8, a: F8, b: float, moved: Sequence[Moved | None]
 ) -> tuple[SurfaceResult, ...]:
     """How each surface agrees with t = a . X + b; ``points`` [n, 3] and ``heights`` (of flats) in mm, one each."""
     found = []
-    for surface, x, height in zip(surfaces, points, heights, strict=True):
+    for surface, x, height, away in zip(surfaces, points, heights, moved, strict=True):
         shape = surface.sweep.crossing.shape
         residual = (surface.sweep.t.ravel()[surface.pixels] - x @ a - b) / float(np.linalg.norm(a)) * 1000
         middle = float(np.median(residual))
@@ -57,14 +62,19 @@ def surface_results(
         slope, bend = _trend(surface.pixels[near], residual[near], shape)
         mean = float(residual[near].mean())
         rms = float(np.sqrt((residual[near] ** 2).mean()))
-        ok = abs(mean) <= LIMIT_UM and bend <= BEND_LIMIT_UM
+        ok = abs(mean) <= LIMIT_UM and bend <= BEND_LIMIT_UM and not _torn(away)
         result = SurfaceResult(
             surface.sweep.name, int(near.sum()), float(1 - near.mean()), mean, rms,
             slope, bend, float(height) if surface.free_height else None, ok, "",
-            whole.reshape(shape),
+            whole.reshape(shape), away,
         )  # fmt: skip
         found.append(replace(result, cause=_cause(result)))
     return tuple(found)
+
+
+def _torn(moved: Moved | None) -> bool:
+    """The light contradicts the board's corners, and by enough to matter."""
+    return moved is not None and moved.chi2 > MOVED_CHI2 and moved.um > LIMIT_UM
 
 
 def _trend(pixels: NDArray[np.intp], residual: F8, shape: tuple[int, ...]) -> tuple[float, float]:
@@ -85,6 +95,12 @@ def _cause(result: SurfaceResult) -> str:
         return (
             f"its residual is bent by {result.bend_um:.1f} um: the surface is not flat, the stage not straight, or the "
             "lens distorts otherwise than calibrated"
+        )
+    if result.moved is not None and _torn(result.moved):
+        return (
+            f"light and the others put it {result.moved.um:.1f} um from where its corners do, {result.moved.chi2:.0f} "
+            "variances (six would be chance): the board moved, the stage was homed or lost steps, or its squares are "
+            "uneven or too coarsely seen"
         )
     if result.slope_um > 4 * LIMIT_UM:
         return (

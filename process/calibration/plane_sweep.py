@@ -1,4 +1,4 @@
-"""Owns the light plane from sweeps over known surfaces: t = a . X + b by robust least squares over their pixels.
+"""Owns the light plane from sweeps over known surfaces: t = a . X + b that explains all of them, and what it is worth.
 
 The crossing coordinate of a plane that only translates is affine in the point (design, section 5): n = a / |a|, and the
 plane moves 1 / |a| along n per unit of t. What lies within the plane cannot be seen, and does not matter for points.
@@ -17,19 +17,26 @@ from acquire.contract.calibration import CameraModel
 from acquire.contract.errors import CalibrationError
 from process.geometry import Rays, rays
 
-from . import robust
 from .documents import utc_now
+from .joint import Joint, solve_jointly
 from .plane_residuals import SurfaceResult, surface_results
 from .surfaces import Surface, meet
 from .sweeps import FoldedSweep
-from .uncertainty import Spread, clustered, patches, spread
+from .uncertainty import Spread, predicted_um
 
 F8 = NDArray[np.float64]
 MIN_THICKNESS_MM = 0.03
-"""Least spread of the surfaces' points off their common plane."""
+"""Least spread of the surfaces' points off their common plane,"""
+MIN_THICKNESS_SHARE = 0.04
+"""or, where that is less, this share of their spread within it: small boards are told apart by less."""
 MIN_RAY_ANGLE_DEG = 5.0
-FLOOR_FRAMES = 0.02
-"""Added to every pixel's sigma: what the noise model does not know."""
+GOOD_UM = 10.0
+"""A predicted error beyond this calls for more."""
+SMALL_SHARE = 0.5
+"""Boards that cover less of the picture have the predicted error said beside them."""
+CAMERA = 15
+LIGHT = slice(15, 19)
+"""Where intrinsics and stage, and (a, b), lie in the joint covariance."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,13 @@ class PlaneResult:
     method: str
     surfaces: tuple[SurfaceResult, ...]
     sweep: FoldedSweep
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    camera: CameraModel
+    """As the sweeps have it: these show the board too, and tie its poses to each other."""
+    camera_covariance: F8
+    """[15, 15] of its intrinsics and the world's pose; zero where the camera was taken as exact."""
+    predicted_um: tuple[float, ...]
+    """Standard deviation of a point at the corners of the field, on the stage and half a millimetre above."""
 
     @property
     def normal(self) -> F8:
@@ -118,11 +131,14 @@ class PlaneResult:
                 "normal_sd_deg": self.normal_sd_deg,
                 "normal_sd_parts_deg": self.normal_sd_parts_deg,
                 "speed_sd_relative": self.speed_sd,
+                "predicted_um": {"at_z0": self.predicted_um[0], "at_half_mm": self.predicted_um[1]},
                 "commanded_speed": "not determinable: sweeps show the motion along the normal only",
                 "surfaces": [
                     {
                         "name": s.name, "pixels": s.pixels, "outlier_share": s.outlier_share, "mean_um": s.mean_um,
                         "rms_um": s.rms_um, "slope_um": s.slope_um, "bend_um": s.bend_um, "height_mm": s.height_mm,
+                        "moved_um": None if s.moved is None else s.moved.um,
+                        "moved_chi2": None if s.moved is None else s.moved.chi2,
                         "ok": s.ok, "cause": s.cause,
                     }
                     for s in self.surfaces
@@ -145,99 +161,37 @@ def fit_plane(
         known_camera: covariance [15, 15] of the camera's intrinsics and pose; None where it is not known.
 
     Raises:
-        CalibrationError: sweeps in different units, surfaces in one plane, a plane along the view rays.
+        CalibrationError: sweeps in different units, surfaces in one plane, a plane along the view rays, a board whose
+            two poses explain everything nearly equally.
     """
     if len({surface.sweep.parameter for surface in surfaces}) != 1:
         raise CalibrationError("some sweeps know their stage positions and some do not: use sweeps of one kind")
-    view = rays(camera)
-    heights = np.zeros(len(surfaces))
-    points, solution = _points(surfaces, heights, view), None
-    for _ in range(6 if any(surface.free_height for surface in surfaces) else 1):
-        _refuse_one_plane(points, surfaces)
-        solution = _solve(surfaces, points, view)
-        change = solution.x[4:]
-        heights[[s.free_height for s in surfaces]] += change
-        points = _points(surfaces, heights, view)
-        if not len(change) or np.abs(change).max() < 1e-6:
-            break
-    assert solution is not None
-    a, b = solution.x[:3], float(solution.x[3])
+    _refuse_one_plane(surfaces, rays(camera))
+    joint = solve_jointly(surfaces, camera, known_camera)
+    view, a, b = rays(joint.camera), joint.light[:3], float(joint.light[3])
     _refuse_grazing(a, view)
-    results = surface_results(surfaces, points, heights, a, b)
-    first = surfaces[0].sweep
-    notes = _speed_notes(a, first)
-    if len({surface.sweep.zero_id for surface in surfaces if surface.sweep.zero_id}) > 1:
-        notes = (*notes, "the stage was homed between the sweeps: they count from different zeros, take them in one go")
-    if known_camera is None:
-        notes = (*notes, "the camera's file does not say how uncertain it is: the standard deviations leave it out")
-    own = _pixels_part(surfaces, points, solution, view)
-    weight = solution.weight / _sigma(surfaces) ** 2
-    found = spread(surfaces, heights, camera, weight, own, known_camera)
-    return PlaneResult(a, b, found, first.parameter, edge, method, results, first, notes)
-
-
-def _pixels_part(surfaces: Sequence[Surface], points: Sequence[F8], solution: robust.Solution, view: Rays) -> F8:
-    """Covariance [4, 4] of (a, b) from the scatter of the pixels, neighbours taken as one; free heights included."""
-    t, x = _crossings(surfaces), np.concatenate(points)
-    design = np.column_stack([x, np.ones(len(x))])
-    residual = t - design @ solution.x[:4]
-    lift = _lift(surfaces, solution.x[:3], view)
-    weight = solution.weight / _sigma(surfaces) ** 2
-    return clustered(np.column_stack([design, lift]), residual, weight, patches(surfaces))[:4, :4]
-
-
-def _points(surfaces: Sequence[Surface], heights: F8, view: Rays) -> list[F8]:
-    return [
+    points = [
         meet(view, surface.point + height * surface.normal, surface.normal, surface.pixels)
-        for surface, height in zip(surfaces, heights, strict=True)
+        for surface, height in zip(joint.surfaces, joint.heights, strict=True)
     ]
+    results = surface_results(joint.surfaces, points, joint.heights, a, b, joint.moved)
+    parts = (joint.covariance(name)[LIGHT, LIGHT] for name in ("pixels", "poses", "camera"))
+    values = joint.camera_and_light_of(joint.state)
+    predicted = predicted_um(values, joint.covariance(), (camera.width, camera.height))
+    return PlaneResult(
+        a, b, Spread(*parts), surfaces[0].sweep.parameter, edge, method, results, surfaces[0].sweep,
+        _notes(joint, predicted), joint.camera, joint.covariance()[:CAMERA, :CAMERA], predicted,
+    )  # fmt: skip
 
 
-def _solve(surfaces: Sequence[Surface], points: Sequence[F8], view: Rays) -> robust.Solution:
-    """One linear step: a, b, and the change of each free height (through the ray: dX/dh along the ray)."""
-    x = np.concatenate(points)
-    t, sigma = _crossings(surfaces), _sigma(surfaces)
-    design = np.column_stack([x, np.ones(len(x))])
-    if not any(surface.free_height for surface in surfaces):
-        return robust.solve(design, t, sigma)
-    on_boards = np.concatenate([np.full(len(p), not s.free_height) for p, s in zip(points, surfaces, strict=True)])
-    # the height's effect needs a, which the boards tell
-    a = robust.solve(design[on_boards], t[on_boards], sigma[on_boards]).x[:3]
-    return robust.solve(np.column_stack([design, _lift(surfaces, a, view)]), t, sigma)
-
-
-def _crossings(surfaces: Sequence[Surface]) -> F8:
-    """t of all pixels, one surface after the other."""
-    return np.concatenate([surface.sweep.t.ravel()[surface.pixels] for surface in surfaces])
-
-
-def _sigma(surfaces: Sequence[Surface]) -> F8:
-    """Standard deviation of these, in the unit of t."""
-    sigma = np.concatenate([
-        np.hypot(surface.sweep.sigma.ravel()[surface.pixels], FLOOR_FRAMES) * abs(surface.sweep.unit_per_frame)
-        for surface in surfaces
-    ])  # fmt: skip
-    return np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))
-
-
-def _lift(surfaces: Sequence[Surface], a: F8, view: Rays) -> F8:
-    """Change of t per mm of each flat's height, [n, flats]: a point moves along its ray."""
-    free = [index for index, surface in enumerate(surfaces) if surface.free_height]
-    rows = np.concatenate([np.full(len(surface.pixels), index) for index, surface in enumerate(surfaces)])
-    lift = np.zeros((len(rows), len(free)))
-    for column, index in enumerate(free):
-        directions = view.directions[surfaces[index].pixels]
-        lift[rows == index, column] = directions @ a / (directions @ surfaces[index].normal)
-    return lift
-
-
-def _refuse_one_plane(points: Sequence[F8], surfaces: Sequence[Surface]) -> None:
-    known = [p for p, surface in zip(points, surfaces, strict=True) if not surface.free_height]
+def _refuse_one_plane(surfaces: Sequence[Surface], view: Rays) -> None:
+    known = [meet(view, s.point, s.normal, s.pixels) for s in surfaces if not s.free_height]
     if not known:
         raise CalibrationError("flats alone cannot show the tilt of the light plane: add a sweep over the board")
     every = np.concatenate(known)
-    spread = np.linalg.svd(every - every.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(every))
-    if spread < MIN_THICKNESS_MM:
+    sizes = np.linalg.svd(every - every.mean(axis=0), compute_uv=False) / np.sqrt(len(every))
+    spread = float(sizes[-1])
+    if spread < min(MIN_THICKNESS_MM, MIN_THICKNESS_SHARE * float(sizes[1])):
         raise CalibrationError(
             f"all sweeps lie in one plane (within {1000 * spread:.0f} um): the tilt of the light plane cannot be told; "
             "add a sweep over the board tilted by 5 degrees or more"
@@ -255,11 +209,53 @@ def _refuse_grazing(a: F8, view: Rays) -> None:
         )
 
 
-def _speed_notes(a: F8, sweep: FoldedSweep) -> tuple[str, ...]:
+def _notes(joint: Joint, predicted: tuple[float, ...]) -> tuple[str, ...]:
+    surfaces, notes = joint.problem.surfaces, []
+    notes += _speed_notes(joint.light[:3], surfaces[0].sweep)
+    if len({surface.sweep.zero_id for surface in surfaces if surface.sweep.zero_id}) > 1:
+        notes.append("the stage was homed between the sweeps: they count from different zeros, take them in one go")
+    if joint.problem.known_camera is None:
+        notes.append("the camera's file does not say how uncertain it is: the standard deviations leave it out")
+    if joint.problem.lying:
+        names = ", ".join(surfaces[index].sweep.name for index in joint.problem.lying)
+        notes.append(f"{names} lies flat on the stage as far as its corners tell: z = 0 is its pattern as well")
+    if joint.contradicts:
+        notes.append(
+            f"corners, light and camera contradict each other by {np.sqrt(joint.contradiction):.1f} times what their "
+            "noise allows: the standard deviations are made larger by as much"
+        )
+    return (*notes, *_small_notes(joint, predicted))
+
+
+def _small_notes(joint: Joint, predicted: tuple[float, ...]) -> list[str]:
+    """What boards that cover little of the field are worth, and what would be better."""
+    widest, words = max(_share(surface) for surface in joint.problem.surfaces), []
+    if widest < SMALL_SHARE:
+        words.append(
+            f"the boards cover {100 * widest:.0f} % of the field at most: predicted error of a point at the corners of "
+            f"the field {predicted[0]:.1f} um on the stage, {predicted[1]:.1f} um half a millimetre above"
+        )
+    if max(predicted) > GOOD_UM and not joint.contradicts:
+        lying = joint.problem.lying or joint.problem.flats
+        missing = "tilted by 20 degrees in other directions" if lying else "lying flat on the stage"
+        words.append(
+            f"more than {GOOD_UM:g} um are predicted: add sweeps over the board {missing}, or take a larger one"
+        )
+    return words
+
+
+def _share(surface: Surface) -> float:
+    """Of the picture, within which the surface's pixels lie."""
+    height, width = surface.sweep.crossing.shape
+    row, column = np.divmod(surface.pixels, width)
+    return float((np.ptp(row) + 1) * (np.ptp(column) + 1)) / (height * width)
+
+
+def _speed_notes(a: F8, sweep: FoldedSweep) -> list[str]:
     per_unit_um = 1000.0 / float(np.linalg.norm(a))
     if sweep.parameter != "position_um":
-        return ()
+        return []
     notes = [f"the plane moves {per_unit_um:.4f} um along its normal per um of travel"]
     if per_unit_um > 1.02:
         notes.append("that is more than the stage travels: --square-mm or um_per_microstep is wrong")
-    return tuple(notes)
+    return notes

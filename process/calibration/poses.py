@@ -35,6 +35,8 @@ class Pose:
     """The mirrored pose explains the view nearly as well."""
     mirrored_rms_px: float
     """The same for the other pose; infinite where there is none."""
+    other: Pose | None = None
+    """The mirrored pose."""
 
     @property
     def rotation(self) -> F8:
@@ -69,7 +71,8 @@ def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> Pose:
         refined = cv2.solvePnPRefineLM(
             object_mm, pixels, matrix, distortion, first_turn.copy(), first_shift.copy(), _REFINE
         )
-        turn, shift = (np.asarray(part, dtype=np.float64).ravel() for part in refined)
+        turn = np.asarray(cv2.Rodrigues(cv2.Rodrigues(refined[0])[0])[0], dtype=np.float64).ravel()  # at most pi long
+        shift = np.asarray(refined[1], dtype=np.float64).ravel()
         error = project(object_mm, turn, shift, matrix, distortion) - pixels
         found.append((float(np.sqrt((error**2).sum(axis=1).mean())), turn, shift))
     found.sort(key=lambda entry: entry[0])
@@ -77,8 +80,9 @@ def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> Pose:
     others = [other for other in found[1:] if _angle_deg(best[1], other[1]) > SAME_POSE_DEG]
     other_rms = others[0][0] if others else float("inf")
     noise = max(best[0], NOISE_FLOOR_PX) ** 2 / 2
-    ambiguous = len(pixels) * (other_rms**2 - best[0] ** 2) / noise < TELL_APART
-    return Pose(best[1], best[2], best[0], bool(ambiguous), other_rms)
+    ambiguous = bool(len(pixels) * (other_rms**2 - best[0] ** 2) / noise < TELL_APART)
+    mirrored = Pose(others[0][1], others[0][2], other_rms, ambiguous, best[0]) if others else None
+    return Pose(best[1], best[2], best[0], ambiguous, other_rms, mirrored)
 
 
 def _angle_deg(first: F8, second: F8) -> float:

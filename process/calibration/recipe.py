@@ -8,17 +8,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from acquire.contract.calibration import CameraModel, parse_calibration
 from acquire.contract.errors import CalibrationError, ScanFileError
 
 from .boards import Board
+from .bundle import NAMES
 from .plane_sweep import PlaneResult, fit_plane
 from .surfaces import Surface, board_surface, flat_surface
 from .sweeps import FoldedSweep, fold_sweep
 from .uncertainty import camera_covariance
 
 Progress = Callable[[str], None]
+REFINED = ("K", "distortion", "R", "T")
+"""What sweeps over boards tell of a camera beside its own views."""
 
 
 class SweepRecipe(msgspec.Struct, frozen=True):
@@ -56,6 +60,7 @@ def make_plane(
     Raises:
         CalibrationError, ScanFileError: as ``fold_sweep``, ``board_surface`` and ``fit_plane``.
     """
+    document = as_before(document)
     camera = parse_calibration(msgspec.json.encode(document).decode()).camera
     surfaces: list[Surface] = []
     for number, scan in enumerate((*recipe.scans, *recipe.flats)):
@@ -64,7 +69,7 @@ def make_plane(
         sweep = fold_sweep(Path(scan), method=method, edge=recipe.edge, contrast=recipe.contrast)
         _same_size(sweep, camera)
         on_board = number < len(recipe.scans)
-        surfaces.append(board_surface(sweep, recipe.board, camera) if on_board else flat_surface(sweep))
+        surfaces.append(board_surface(sweep, recipe.board, camera, alone=False) if on_board else flat_surface(sweep))
     return fit_plane(surfaces, camera, edge=recipe.edge, method=method, known_camera=camera_covariance(document))
 
 
@@ -78,10 +83,24 @@ def _same_size(sweep: FoldedSweep, camera: CameraModel) -> None:
 
 
 def with_plane(document: dict[str, Any], result: PlaneResult, recipe: SweepRecipe, days: float) -> dict[str, Any]:
-    """The calibration with this light plane and what it was made of."""
-    plane = result.document()
+    """The calibration with this light plane, what it was made of, and the camera as its sweeps have it."""
+    document, plane = as_before(document), result.document()
     plane["quality"]["recipe"] = msgspec.to_builtins(recipe)
-    return {**document, "light_plane": plane, "valid_for": result.validity(days)}
+    made = {**document, "light_plane": plane, "valid_for": result.validity(days)}
+    if camera_covariance(document) is None:
+        return made
+    plane["quality"]["camera_before"] = document["camera"]
+    quality = {**document["camera"]["quality"], "covariance": result.camera_covariance.tolist()}
+    quality["sd"] = dict(zip(NAMES, np.sqrt(np.diag(result.camera_covariance)).tolist(), strict=False))
+    own = {key: value for key, value in msgspec.to_builtins(result.camera).items() if key in REFINED}
+    return {**made, "camera": {**document["camera"], **own, "quality": quality}}
+
+
+def as_before(document: dict[str, Any]) -> dict[str, Any]:
+    """With the camera as it was before a light plane's sweeps had their say in it: they must not have it twice."""
+    quality = (document.get("light_plane") or {}).get("quality") or {}
+    before = quality.get("camera_before")
+    return document if not isinstance(before, dict) else {**document, "camera": before}
 
 
 def recipe_in(document: dict[str, Any]) -> SweepRecipe | None:

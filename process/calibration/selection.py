@@ -18,10 +18,15 @@ WORTHWHILE = 0.002
 """A model with more terms has to lower the held-out error by this share."""
 COMPARABLE = 1.2
 """Estimates of the corners whose residuals differ by more are not averaged: the worse one would bring its bias."""
+SURE = 1.0
+"""Standard deviations by which the first radial term differs from nothing where it is taken all the same: points where
+no view was are nearer to the truth with it then."""
 HARMFUL = 3.0
 """A view whose residual is so many times the median of the others does not show the same board."""
 HARMFUL_FLOOR_PX = 0.05
 MIN_VIEWS = 3
+K1 = 4
+"""Where the first radial term lies among the intrinsics."""
 
 
 def choose_model(
@@ -30,8 +35,10 @@ def choose_model(
     """The fit with the distortion model that predicts views it has not seen best, and each model's held-out RMS in px.
 
     A model with more terms is taken only if it predicts clearly better. For the first radial term (every lens has
-    it) that is by WORTHWHILE; for more terms also by more than the standard error of the difference over the views:
-    what they fit by chance is far off where no board was.
+    it) that is by WORTHWHILE, or if it is larger than its own uncertainty: a small board in the middle of the field
+    hardly shows it, and at the corners it is microns. For more terms also by more than the standard error of the
+    difference over the views: what they fit by chance is far off where no board was. A first term that is left out is
+    uncertain still.
     """
     first = fit_camera(views, size, "k1", start)
     fits, squares = {}, {}
@@ -44,9 +51,22 @@ def choose_model(
         doubt = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else 0.0
         if model == "k1":
             doubt = 0.0
-        if gain.mean() > max(2 * WORTHWHILE * float(squares[chosen].mean()), doubt):
+        better = gain.mean() > max(2 * WORTHWHILE * float(squares[chosen].mean()), doubt)
+        if better or (model == "k1" and _sure_of_k1(fits[model])):
             chosen = model
+    if chosen == "none":
+        fits[chosen] = replace(fits[chosen], covariance=without_k1(fits["k1"]))
     return fits[chosen], {model: float(np.sqrt(found.mean())) for model, found in squares.items()}
+
+
+def _sure_of_k1(fit: Fit) -> bool:
+    return bool(abs(fit.intrinsics[K1]) > SURE * np.sqrt(fit.covariance[K1, K1]))
+
+
+def without_k1(fit: Fit) -> NDArray[np.float64]:
+    """Covariance [9, 9] of a camera whose first radial term is left out: it may be what ``fit`` found, or more."""
+    answer = fit.covariance[:, K1] / max(float(fit.covariance[K1, K1]), 1e-300)
+    return np.asarray(fit.covariance + fit.intrinsics[K1] ** 2 * np.outer(answer, answer), dtype=np.float64)
 
 
 def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: Fit) -> NDArray[np.float64]:

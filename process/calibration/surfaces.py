@@ -45,8 +45,14 @@ class Surface:
     """The board's, in camera coordinates; None for a flat."""
 
 
-def board_surface(sweep: FoldedSweep, board: Board, camera: CameraModel) -> Surface:
+def board_surface(sweep: FoldedSweep, board: Board, camera: CameraModel, *, alone: bool = True) -> Surface:
     """The board in the pose that its own corners in this sweep show; pixels clear of printed edges.
+
+    Args:
+        sweep: over the board.
+        board: the pattern.
+        camera: with its pose in the world.
+        alone: nothing but the corners will tell its pose from the mirrored one.
 
     Raises:
         CalibrationError: board not found, its pose ambiguous, or too few clean pixels.
@@ -57,7 +63,7 @@ def board_surface(sweep: FoldedSweep, board: Board, camera: CameraModel) -> Surf
         raise CalibrationError(f"{sweep.name}: {error}") from None
     matrix, distortion = np.array(camera.K), np.array(camera.distortion)
     pose = find_pose(sighting.object_mm, sighting.pixels, matrix, distortion)
-    if pose.ambiguous:
+    if alone and pose.ambiguous:
         raise CalibrationError(f"{sweep.name}: two poses of the board explain it nearly equally; tilt it more")
     _refuse_far(sweep.name, pose, camera, board)
     to_world = np.array(camera.R).T

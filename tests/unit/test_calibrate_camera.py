@@ -10,8 +10,10 @@ import pytest
 
 from acquire.contract.errors import CalibrationError
 from process.calibration.boards import Board, BoardNotFoundError, find_board
+from process.calibration.bundle import Fit
 from process.calibration.camera import calibrate_camera
-from process.calibration.selection import choose_corners
+from process.calibration.selection import choose_corners, choose_model, without_k1
+from tests.accuracy.uncertainty import SMALL, see
 
 BOARD = Board(13, 10, 0.3)
 SIZE = (480, 360)
@@ -95,6 +97,24 @@ def test_the_public_views_give_one_radial_term_and_an_eighth_of_a_pixel(real_sca
     assert len(result.used) == 10
     assert result.fit.rms_px <= 0.125
     assert result.fit.model == "k1"
+
+
+def test_a_small_board_that_hardly_shows_the_lens_still_takes_its_term_and_says_how_uncertain_it_is():
+    generator = np.random.default_rng(5)
+    views = [see(SMALL, tilt, generator) for tilt in SMALL.views[:9]]
+    fit, held_out_px = choose_model(views, SMALL.size)
+    assert held_out_px["none"] < 1.003 * held_out_px["k1"], "held-out views alone would leave it out"
+    assert fit.model == "k1"
+    assert abs(fit.intrinsics[4] + 0.3) < 3 * np.sqrt(fit.covariance[4, 4])
+
+
+def test_a_term_that_is_left_out_stays_uncertain_by_what_it_may_be():
+    covariance = np.diag([4.0, 4.0, 1.0, 1.0, 0.01, 0, 0, 0, 0])
+    covariance[0, 4] = covariance[4, 0] = 0.1
+    fit = Fit(np.array([100.0, 100.0, 50.0, 50.0, 0.2, 0, 0, 0, 0]), (), covariance, 0.1, (), "k1")
+    left_out = without_k1(fit)
+    assert left_out[4, 4] == pytest.approx(0.01 + 0.2**2)
+    assert left_out[0, 0] == pytest.approx(4.0 + (10 * 0.2) ** 2)
 
 
 def test_two_views_are_too_few(views):

@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.uncertainty import camera_covariance, clustered
-from tests.accuracy.uncertainty import figures
+from process.calibration.light_on import clustered
+from process.calibration.uncertainty import camera_covariance
+from tests.accuracy.uncertainty import COARSE, SMALL, figures
 
 
-def test_errors_of_the_normal_are_as_large_as_their_standard_deviations_say():
-    found = figures(range(12))
-    assert 0.4 < found["chi_squared_per_degree_of_freedom"] < 2.0
-    assert 0.5 < found["normal_error_deg"] / found["normal_sd_deg"] < 1.6
-    assert 0.5 < found["speed_error_percent"] / found["speed_sd_percent"] < 1.6
+@pytest.mark.parametrize(("rig", "seeds"), [(COARSE, 6), (SMALL, 4)])
+def test_errors_are_as_large_as_their_standard_deviations_say(rig, seeds):
+    found = figures(rig, range(seeds))
+    assert 0.3 < found["chi_squared_per_degree_of_freedom"] < 2.0
+    assert 0.4 < found["normal_error_deg"] / found["normal_sd_deg"] < 1.7
+    assert 0.4 < found["speed_error_percent"] / found["speed_sd_percent"] < 1.7
+    assert 0.4 < found["point_error_um_on_the_stage"] / found["point_predicted_um_on_the_stage"] < 1.7
 
 
 def test_pixels_that_err_together_count_once():

@@ -105,6 +105,7 @@ def plane_words(result: PlaneResult) -> list[str]:
         f"{s.name}: {s.pixels} pixels, mean residual {s.mean_um:+.2f} um, RMS {s.rms_um:.2f} um, "
         f"trend {s.slope_um:.2f} um, bend {s.bend_um:.2f} um, {100 * s.outlier_share:.0f} % left out"
         + ("" if s.height_mm is None else f", height {s.height_mm:.4f} mm")
+        + ("" if s.moved is None else f", {s.moved.um:.2f} um from where its corners alone put it")
         + (f": {s.cause}" if s.cause else "")
         for s in result.surfaces
     ]
@@ -116,6 +117,10 @@ def plane_words(result: PlaneResult) -> list[str]:
     )
     parts = ", ".join(f"{name} {value:.4f}" for name, value in result.normal_sd_parts_deg.items())
     lines.append(f"the normal's standard deviation by source, degrees: {parts}")
+    lines.append(
+        f"predicted error of a point at the corners of the field: {result.predicted_um[0]:.2g} um on the stage, "
+        f"{result.predicted_um[1]:.2g} um half a millimetre above (standard deviations, all together)"
+    )
     lines.append("commanded speed: not determinable, sweeps show the motion along the normal only")
     return lines + [f"note: {note}" for note in result.notes]
 
