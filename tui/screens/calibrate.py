@@ -8,11 +8,11 @@ from typing import Any
 
 from rich.text import Text
 from textual.app import ComposeResult
-from textual.binding import Binding
 from textual.containers import Horizontal
 from textual.message import Message
 
 from acquire.contract.errors import CalibrationError
+from tui.board_sweeps import BoardSweeps
 from tui.board_watch import BoardWatch
 from tui.bring_light import BringLight, Command
 from tui.calibration_rules import (
@@ -26,11 +26,12 @@ from tui.calibration_rules import (
     why_not,
 )
 from tui.calibration_session import BoardWords, CalibrationSession, parse_board
-from tui.calibration_words import Verdict, sweep_words, verdict_of
+from tui.calibration_words import Verdict, verdict_of
 from tui.jobs import Job
 from tui.messages import CommandAnswered
 from tui.scan_rules import busy_words
-from tui.scans import ScanEntry, ScanFolder
+from tui.scans import ScanFolder
+from tui.screens.calibrate_keys import BINDINGS
 from tui.screens.camera_screen import CameraScreen
 from tui.screens.dialogs import Field, Form
 from tui.view import RigView
@@ -59,32 +60,7 @@ class CalibrateScreen(CameraScreen):
         "sweeps over the board flat and tilted. Nothing replaces a calibration in use by itself."
     )
     CHANGES = frozenset({"capture", "sweep", "pose", "object"}) | CameraScreen.OF_CAMERA
-    BINDINGS = [
-        Binding("p", "preview", "preview", id="calibrate.preview", tooltip="camera pictures on or off"),
-        Binding("L", "lamp", "lamp", id="calibrate.lamp", tooltip="lamp on or off"),
-        Binding("t", "goto", "go to", id="calibrate.goto", tooltip="where the light shall stand"),
-        Binding("b", "board", "board", id="calibrate.board", tooltip="squares, their size, kind"),
-        Binding("c", "capture", "capture", id="calibrate.capture", tooltip="keep this view in full size"),
-        Binding("u", "undo", "drop last", id="calibrate.undo", tooltip="put the last view aside"),
-        Binding("g", "fit", "calibrate", id="calibrate.fit", tooltip="calibrate with what was collected"),
-        Binding("m", "step", "next step", id="calibrate.step", tooltip="camera, light plane"),
-        Binding("w", "sweep", "sweep", id="calibrate.sweep", tooltip="sweep over the board as it lies now"),
-        Binding(
-            "e",
-            "expose",
-            "expose",
-            id="calibrate.expose",
-            tooltip="search the exposure; for a sweep, light over the board",
-        ),
-        Binding("enter", "use", "use or not", id="calibrate.use", tooltip="whether a sweep counts"),
-        Binding("v", "verdict", "result", id="calibrate.verdict", tooltip="the last result, or the guidance"),
-        Binding("n", "anew", "begin anew", id="calibrate.anew", tooltip="an empty session; this one stays"),
-        Binding("x", "cancel", "cancel", id="calibrate.cancel", tooltip="end the calibration that runs"),
-        Binding("P", "pose", "next pose", id="calibrate.pose", tooltip="simulated rig: the board in another pose"),
-        Binding("O", "object", "take board off", id="calibrate.object", tooltip="simulated rig: the specimen back"),
-        Binding("up", "move(-1)", "previous", show=False),
-        Binding("down", "move(1)", "next", show=False),
-    ]
+    BINDINGS = BINDINGS
     DEFAULT_CSS = """
     CalibrateScreen #panes { height: 1fr; }
     CalibrateScreen BoardPicture, CalibrateScreen #sweeps { width: 1fr; }
@@ -95,13 +71,12 @@ class CalibrateScreen(CameraScreen):
     def __init__(self, *, ascii_only: bool = False) -> None:
         super().__init__(ascii_only=ascii_only)
         self._picture = BoardPicture("mono" if ascii_only else "half", ascii_only=ascii_only)
-        self._sweeps = RowList(id="sweeps", ascii_only=ascii_only, empty="no calibration sweep yet: w takes one")
+        self._list = RowList(id="sweeps", ascii_only=ascii_only, empty="no calibration sweep yet: w takes one")
         self._guide = GuidePane(ascii_only=ascii_only)
         self._jobs = JobLines(ascii_only=ascii_only)
         self._session: CalibrationSession | None = None
         self._scans: ScanFolder | None = None
-        self._entries: list[ScanEntry] = []
-        self._left_out: set[str] = set()
+        self._sweeps = BoardSweeps()
         self._plane_step = False
         self._verdicts: dict[bool, Verdict] = {}
         self._show_verdict = False
@@ -111,7 +86,7 @@ class CalibrateScreen(CameraScreen):
 
     def body(self) -> ComposeResult:
         """The picture or the sweeps, the guidance, what runs."""
-        yield Horizontal(self._picture, self._sweeps, self._guide, id="panes")
+        yield Horizontal(self._picture, self._list, self._guide, id="panes")
         yield self._jobs
 
     def on_mount(self) -> None:
@@ -130,7 +105,7 @@ class CalibrateScreen(CameraScreen):
         """Picture or sweeps, and the guidance."""
         if self._session is None:
             return
-        self._picture.display, self._sweeps.display = not self._plane_step, self._plane_step
+        self._picture.display, self._list.display = not self._plane_step, self._plane_step
         self._show_picture(view)
         self._show_sweeps()
         self._guide.border_title = "2 of 2: light plane" if self._plane_step else "1 of 2: camera"
@@ -150,21 +125,15 @@ class CalibrateScreen(CameraScreen):
         self._picture.mark(self._watch.live.get("corners") or () if view.connected else ())
 
     def _show_sweeps(self) -> None:
-        chosen = {str(entry.folder) for entry in self._used}
-        used, not_used = ("x", " ") if self.ascii_only else ("✓", "·")
-        rows = [
-            Text(f"{used if str(e.folder) in chosen else not_used}  {e.folder.name}  {sweep_words(e)}")
-            for e in self._entries
-        ]
-        self._sweeps.border_title = "sweeps over the board"
-        self._sweeps.show(Text("use  sweep"), rows, [str(entry.folder) for entry in self._entries])
+        self._list.border_title = "sweeps over the board"
+        self._list.show(Text("use  sweep"), self._sweeps.rows(ascii_only=self.ascii_only), self._sweeps.keys)
 
     def _guide_view(self, view: RigView) -> GuideView:
         assert self._session is not None
         verdict = self._verdicts.get(self._plane_step) if self._show_verdict else None
         board = self._session.board.words()
         if self._plane_step:
-            hint = plane_hint(len(self._used))
+            hint = plane_hint(len(self._sweeps.used))
             return GuideView(PLANE_GOAL, board, hint=hint, verdict=verdict)
         wanted, status = self._wanted(view), view.status
         hint = ""
@@ -183,12 +152,8 @@ class CalibrateScreen(CameraScreen):
             found = await asyncio.to_thread(scans.look)
         except CalibrationError:
             return
-        self._entries = [entry for entry in found if entry.purpose == "calibration"]
+        self._sweeps.take(found)
         self.show_all(self.view)
-
-    @property
-    def _used(self) -> list[ScanEntry]:
-        return [e for e in self._entries if str(e.folder) not in self._left_out and e.state == "sealed" and e.committed]
 
     # ---- looking for the board ----
 
@@ -213,8 +178,8 @@ class CalibrateScreen(CameraScreen):
             sweep_runs=is_running(status),
             simulated=status is not None and status.camera_kind == "simulated",
             views=len(self._session.views),
-            sweeps=len(self._entries),
-            used=len(self._used),
+            sweeps=len(self._sweeps.entries),
+            used=len(self._sweeps.used),
             has_camera=self._session.result.is_file(),
             has_verdict=self._plane_step in self._verdicts,
             works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
@@ -311,17 +276,17 @@ class CalibrateScreen(CameraScreen):
 
     def action_move(self, rows: int) -> None:
         """Choose another sweep."""
-        self._sweeps.move(rows)
+        self._list.move(rows)
 
     def action_use(self) -> None:
         """Whether the chosen sweep counts."""
-        self._left_out ^= {str(self._sweeps.chosen)}
+        self._sweeps.toggle(str(self._list.chosen))
         self.show_all(self.view)
 
     def action_sweep(self) -> None:
         """Sweep over the board as it lies."""
         draft = self.shell.draft
-        self.send("scan", name=f"board-{len(self._entries) + 1}", **draft.plan_args(), purpose="calibration")
+        self.send("scan", name=f"board-{len(self._sweeps.entries) + 1}", **draft.plan_args(), purpose="calibration")
 
     def action_pose(self) -> None:
         """The simulated board in the next pose."""
@@ -357,7 +322,6 @@ class CalibrateScreen(CameraScreen):
             self.show_all(self.view)
 
         stage = str(self._watch.facts.get("stage_view") or "")
-        scans = [entry.folder for entry in self._used]
-        command = session.plane_command(scans) if plane else session.camera_command(stage)
+        command = session.plane_command(self._sweeps.used) if plane else session.camera_command(stage)
         title = "calibrate the light plane" if plane else "calibrate the camera"
         self.shell.jobs.start(title, command, str(session.folder), ended)
