@@ -1,4 +1,4 @@
-"""Own the colour of each pixel: that of the frame of its first maximum, for either edge."""
+"""Own colour frames: their grey, and the colour of each pixel: that of the frame of its first maximum."""
 
 from __future__ import annotations
 
@@ -9,8 +9,21 @@ from numpy.typing import NDArray
 
 from process.compiled import inlined_kernel, kernel
 from process.fold_kernels import list_bits
+from process.recent import writable
 from process.tiles import BLOCKS, TILE
-from process.vector_blocks import BLOCK, higher_than
+from process.vector_blocks import BLOCK, GREY_BLOCK, GREY_WEIGHTS, grey_block, higher_than
+
+
+@kernel
+def grey_of_rgb(rgb, grey):
+    """Grey [pixels] of rgb [pixels * 3], both uint8: the integers of OpenCV's COLOR_RGB2GRAY."""
+    whole = grey.size - grey.size % GREY_BLOCK
+    for at in range(0, whole, GREY_BLOCK):
+        grey_block(rgb, 3 * at, grey, at)
+    red, green, blue = GREY_WEIGHTS
+    for pixel in range(whole, grey.size):
+        at = 3 * pixel
+        grey[pixel] = (red * rgb[at] + green * rgb[at + 1] + blue * rgb[at + 2] + (1 << 14)) >> 15
 
 
 @inlined_kernel
@@ -49,7 +62,7 @@ class ColourOfMaximum:
 
     def add(self, grey: NDArray[Any], frame: NDArray[Any]) -> None:
         """Take a frame [h, w, 3] and its original grey [h, w], uint8 or uint16."""
-        flat, pixels = np.ascontiguousarray(grey).reshape(-1), np.ascontiguousarray(frame).reshape(-1, 3)
+        flat, pixels = np.ascontiguousarray(grey).reshape(-1), writable(np.ascontiguousarray(frame)).reshape(-1, 3)
         if self._highest is None:
             self._highest = flat.copy()
             self._colour[:] = pixels >> self._shift

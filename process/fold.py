@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from process.colour import ColourOfMaximum
+from process.colour import ColourOfMaximum, grey_of_rgb
 from process.crossing_kernels import Samples, sample_columns
 from process.crossings import (
     Edge,
@@ -25,7 +25,7 @@ from process.crossings import (
     make_maps,
 )
 from process.fold_kernels import fold_frames, start_state
-from process.recent import RecentFrames
+from process.recent import RecentFrames, writable
 from process.record_log import find_crossings
 from process.tiles import (
     MAX_FRAMES,
@@ -72,7 +72,11 @@ def to_grey(frame: NDArray[Any], bit_depth: int, out: NDArray[Any] | None = None
         raise ValueError(f"a frame is [h, w] grey or [h, w, 3] RGB, not {frame.shape}")
     if out is None:
         out = np.empty(frame.shape[:2], frame.dtype)
-    cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY, dst=out)
+    frame = np.ascontiguousarray(frame)
+    if frame.dtype == np.uint8 and out.flags.c_contiguous:
+        grey_of_rgb(writable(frame.reshape(-1)), out.reshape(-1))
+    else:
+        cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY, dst=out)
     return out
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from process.tiles import TILE, aligned_zeros
 
 
-def _writable(flat: NDArray[Any]) -> NDArray[Any]:
+def writable(flat: NDArray[Any]) -> NDArray[Any]:
     """The same memory as a writable array, so that kernels need one compiled form; it is never written."""
     if flat.flags.writeable:
         return flat
@@ -53,7 +53,7 @@ class RecentFrames:
         flat = grey.reshape(-1)
         tail = self._tails[self._count % (self._batch + 1)]
         tail[: self._pixels - self._tail_start] = flat[self._tail_start :]
-        self._flats.append(_writable(flat))
+        self._flats.append(writable(flat))
         self._tail_rows.append(tail)
         self._owners.append(grey)
         self._count += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import erf, sqrt
 
+import cv2
 import numpy as np
 import pytest
 
@@ -199,6 +200,15 @@ def test_there_is_no_result_before_the_first_frame():
 def test_a_value_above_the_full_scale_of_the_depth_is_found(edge):
     with pytest.raises(ValueError, match="4095"):
         folded([7, 4096, 9], bit_depth=12, edge=edge).result(**CHOSEN, read_columns=None)
+
+
+def test_grey_of_any_colour_of_8_bit_is_that_of_opencv():
+    levels = np.minimum(np.arange(257), 255)
+    colours = np.empty((257, 257, 3), np.uint8)  # whole blocks of pixels and one more
+    colours[..., 0], colours[..., 1] = levels[:, None], levels
+    for blue in range(256):
+        colours[..., 2] = blue
+        assert np.array_equal(to_grey(colours, 8), cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY)), blue
 
 
 def test_grey_of_a_grey_frame_is_the_frame_itself():
