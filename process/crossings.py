@@ -199,7 +199,7 @@ def quality_counts(
     mask: NDArray[np.uint8], crossing: NDArray[np.float64], quality: NDArray[np.uint16]
 ) -> dict[str, int]:
     """over_contrast, past_s_in_first, crossings, and one per quality bit; arrays of one shape."""
-    by_value = np.bincount(quality.ravel(), minlength=256)
+    by_value = np.bincount(quality[quality != 0], minlength=256)
     values = np.arange(len(by_value))
     bits = {bit.name.lower(): int(by_value[(values & bit) != 0].sum()) for bit in Quality if bit.name}
     return {
@@ -228,7 +228,7 @@ def make_maps(
     how = _How(noise_counts * 2.0 ** (folded.bit_depth - 8), probit, quantiles)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
-    selected = np.flatnonzero(mask)
+    selected = np.flatnonzero(mask != 0)
     estimate_crossings(selected, samples, folded.present, *how, *out)
     unknown = selected[samples.ordinal[selected] == UNKNOWN]
     flagged = unknown[(out.quality[unknown] & np.uint16(Quality.LIT_AT_START)) == 0]
