@@ -29,8 +29,12 @@ class Course:
     phase: Phase | None = None
     """None before the stage may move, and when it has come to rest for good."""
     paused: bool = False
+    away: bool = False
+    """The camera is gone; the course goes on by itself when it is back."""
     deadline: Deadline = field(default_factory=Deadline)
     """By when the stage must have answered."""
+    _camera_deadline: Deadline = field(default_factory=Deadline)
+    """By when the camera must be back."""
     _resting: bool = True
     _skip_checks: bool = False
 
@@ -70,6 +74,17 @@ class Course:
         """The stage stands, or is not waited for any more: what it still hears, it shall do."""
         self._resting = self.shooting.segment_done = True
 
+    def camera_gone(self, now_ns: int) -> list[Action]:
+        """Nothing is triggered for a camera that is not there."""
+        if not self.away:
+            self.away, self._camera_deadline.at_ns = True, now_ns + self.settings.camera_away_ns
+        return self.stop_run(now_ns) if self.phase is Phase.RUN else []
+
+    def camera_is_missed(self, now_ns: int) -> bool:
+        """True once, when a sweep that waits for its camera has waited long enough."""
+        waits = self.away and self.phase in (Phase.RUN, Phase.STOPPING) and not self.closing.is_decided
+        return waits and self._camera_deadline.passed(now_ns)
+
     def go_on(self, now_ns: int) -> list[Action]:
         """Raise the stage's credit as far as the window allows."""
         if self.phase is not Phase.RUN or self.paused:
@@ -107,11 +122,14 @@ class Course:
         run = self.shooting.next_run()
         if run is None:
             return self._repeat_first(now_ns)
+        if self.away:
+            self.phase = Phase.STOPPING  # it rests already; what is missing is taken when the camera is back
+            return []
         self._move(Phase.RUN, now_ns)
         return self.shooting.begin(*run, now_ns)
 
     def _after_run(self, now_ns: int) -> list[Action]:
-        return [] if self.paused else self._next_run(now_ns)
+        return [] if self.paused or self.away else self._next_run(now_ns)
 
     def _after_overlap(self, now_ns: int) -> list[Action]:
         complaint = self.checks.complaint

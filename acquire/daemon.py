@@ -67,6 +67,8 @@ class Daemon:
         self._run_dir = run_dir
         self.interlude = Interlude(self)
         self.control = Control()
+        self.camera_away = ""
+        """Why the camera is gone; empty while it is there."""
         self._desk = Desk(self)
         self._status_due_ns = 0
         self._changed = True
@@ -201,6 +203,8 @@ class Daemon:
 
     def _take_device_event(self, event: StageEvent | CameraFrame | CameraGone, now_ns: int) -> None:
         self._changed = True
+        if isinstance(event, CameraGone):
+            self.camera_away = "" if event.back else event.detail or "it does not answer"
         if self.scan is None:
             self.interlude.take(event, now_ns)
         elif not self.interlude.is_stale(event, now_ns):

@@ -52,6 +52,8 @@ class Desk(ActivityDesk):
 
     def _need_sweep(self, what: str, mode: str) -> StageStatus:
         self._need_rest(what)
+        if self._daemon.camera_away:
+            raise CommandRefusedError(f"cannot {what}: the camera is away ({self._daemon.camera_away}); plug it in")
         stage = self._daemon.rig.stage.status()
         if not stage.position_trusted:
             raise CommandRefusedError(f"cannot {what}: the stage's position is not trusted; home it first")

@@ -83,7 +83,7 @@ class Intake:
         """Whose frame this is, and which triggers will not get theirs any more."""
         if self._deaf:
             return Arrival()
-        pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns)
+        pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns, event.camera_ns)
         losses = (Loss(pairing.lost, "F16", "its frame did not come"),) if pairing.lost else ()
         if pairing.shot is None:
             self.counters["extra"] += 1
@@ -104,6 +104,7 @@ class Intake:
 
     def take_ambient(self, event: CameraFrame, position_steps: int) -> list[Publish]:
         """A frame that no trigger asked for, taken at ``position_steps`` (microsteps); none if it came damaged."""
+        self.shooting.ledger.note_clock(event.exposure_start_ns)
         if what_is_wrong(event, self.shooting.settings.format):
             self.counters["damaged"] += 1
             return []

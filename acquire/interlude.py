@@ -119,7 +119,9 @@ class Interlude:
         elif isinstance(event, CameraGone):
             self._owed_until_ns = 0
             if not event.back:
-                self._daemon.fault(report("F18", committed=0, expected=0))
+                self._daemon.fault(report("F18", detail=event.detail, committed=0, expected=0))
+            else:
+                self._daemon.say("the camera is back")
         elif isinstance(event, Alarm):
             self._alarm(event)
         elif isinstance(event, (Moved, Stopped, SegmentDone)):

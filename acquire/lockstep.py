@@ -1,13 +1,14 @@
 """The lockstep ledger: which camera frame belongs to which trigger. It never guesses; what is doubtful is lost.
 
 Three counters must agree for every frame: steps commanded, triggers fired, frame ids of the camera. A frame that
-cannot be proven to belong to its trigger is reported lost, and the sweep takes it again.
+cannot be proven to belong to its trigger is reported lost, and the sweep takes it again. Ids alone do not tell of a
+trigger that the camera never saw: it counts nothing then, and all frames behind would move up by one. Only time tells.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class Shot:
     deadline_ns: int
     expected_camera_id: int | None
     """None until the first frame after arming has shown where the camera's counter stands."""
+    fired_ns: int = 0
+    """When it was fired by the controller's own clock; 0 unknown."""
 
 
 @dataclass(frozen=True)
@@ -36,23 +39,47 @@ class Pairing:
     """Triggers whose frames will not come any more."""
 
 
+@dataclass(frozen=True)
+class Spacing:
+    """How far in time a frame may be from its trigger; 0: there is no such bound."""
+
+    late_ns: int = 0
+    """An exposure that began so long after its trigger (host's clock) belongs to a later one."""
+    early_ns: int = 5_000_000
+    """An exposure that began so long before its trigger (host's clock) was not made by it."""
+    apart_ns: int = 0
+    """Camera's clock minus controller's clock may differ so much between one pair and the next."""
+
+
 @dataclass
 class Ledger:
     """Pairs triggers with frames between one arming of the camera and the next."""
 
-    tolerance_ns: int = 5_000_000
-    """An exposure that began so long before its trigger was not made by it."""
+    spacing: Spacing = Spacing()
     pending: deque[Shot] = field(default_factory=deque)
     armed_at_ns: int = 0
     extra_frames: int = 0
     """Frames that belong to no trigger, dropped and counted."""
     _last_camera_id: int | None = None
+    _on_host_clock: bool = False
+    _offset_ns: int | None = None
+    """Camera's clock minus controller's clock at the last pair since arming."""
 
-    def arm(self, now_ns: int) -> None:
-        """The camera was armed anew: its counter may stand anywhere, older exposures are stale."""
+    def arm(self, now_ns: int, spacing: Spacing | None = None) -> None:
+        """The camera was armed anew: its counter and its clock may stand anywhere, older exposures are stale."""
         self.pending.clear()
-        self._last_camera_id = None
+        self._last_camera_id = self._offset_ns = None
         self.armed_at_ns = now_ns
+        self.spacing = spacing or self.spacing
+
+    @property
+    def can_tell(self) -> bool:
+        """Whether time tells which of several triggers a frame belongs to; until it does, only one may be awaited."""
+        return self._on_host_clock or self._offset_ns is not None
+
+    def note_clock(self, exposure_start_ns: int) -> None:
+        """A frame of the camera says when it was exposed (host's clock; 0: it does not)."""
+        self._on_host_clock |= exposure_start_ns > 0
 
     def triggered(
         self,
@@ -65,6 +92,7 @@ class Ledger:
         trigger_cycles: int,
         at_mono_ns: int,
         deadline_ns: int,
+        fired_ns: int = 0,
     ) -> None:
         """A trigger was fired at ``position_steps`` (microsteps)."""
         expected = None if self._last_camera_id is None else self._last_camera_id + 1 + len(self.pending)
@@ -79,21 +107,31 @@ class Ledger:
                 at_mono_ns,
                 deadline_ns,
                 expected,
+                fired_ns,
             )
         )
 
-    def frame(self, camera_frame_id: int, exposure_start_ns: int) -> Pairing:
-        """A frame arrived. Ids decide; an exposure before its trigger, or a repeated id, belongs to nobody."""
+    def frame(self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int = 0) -> Pairing:
+        """A frame arrived. Ids and times decide; one that is before its trigger, or repeated, belongs to nobody.
+
+        Args:
+            camera_frame_id: the camera's counter.
+            exposure_start_ns: by the host's clock; 0 unknown.
+            camera_ns: by the camera's own clock; 0 unknown.
+        """
+        self.note_clock(exposure_start_ns)
         if self._is_stale(camera_frame_id, exposure_start_ns):
             self.extra_frames += 1
             return Pairing(None)
-        lost = self._skip_to(camera_frame_id)
+        lost = self._skip_to(camera_frame_id) + self._skip_unseen(camera_frame_id, exposure_start_ns, camera_ns)
         self._last_camera_id = camera_frame_id
-        if not self.pending or not self._fits(self.pending[0], camera_frame_id, exposure_start_ns):
+        if not self.pending or not self._fits(self.pending[0], camera_frame_id, exposure_start_ns, camera_ns):
             self.extra_frames += 1
             self._expect_anew()
             return Pairing(None, lost)
         shot = self.pending.popleft()
+        if camera_ns and shot.fired_ns:
+            self._offset_ns = camera_ns - shot.fired_ns
         self._expect_anew()
         return Pairing(shot, lost)
 
@@ -112,7 +150,7 @@ class Ledger:
 
     def _is_stale(self, camera_frame_id: int, exposure_start_ns: int) -> bool:
         seen_before = self._last_camera_id is not None and camera_frame_id <= self._last_camera_id
-        before_arming = 0 < exposure_start_ns < self.armed_at_ns - self.tolerance_ns
+        before_arming = 0 < exposure_start_ns < self.armed_at_ns - self.spacing.early_ns
         return seen_before or before_arming
 
     def _skip_to(self, camera_frame_id: int) -> tuple[Shot, ...]:
@@ -125,14 +163,36 @@ class Ledger:
             lost.append(self.pending.popleft())
         return tuple(lost)
 
-    def _fits(self, shot: Shot, camera_frame_id: int, exposure_start_ns: int) -> bool:
+    def _skip_unseen(self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int) -> tuple[Shot, ...]:
+        """Triggers that the camera never saw: the frame is too late for them, and no id was used up."""
+        lost = []
+        while self.pending and self._is_too_late_for(self.pending[0], exposure_start_ns, camera_ns):
+            lost.append(self.pending.popleft())
+        if lost:
+            self._expect(camera_frame_id)
+        return tuple(lost)
+
+    def _is_too_late_for(self, shot: Shot, exposure_start_ns: int, camera_ns: int) -> bool:
+        late_ns = self.spacing.late_ns
+        by_host = bool(late_ns and exposure_start_ns) and exposure_start_ns - shot.at_mono_ns >= late_ns
+        return by_host or self._drift_ns(shot, camera_ns) > 0
+
+    def _drift_ns(self, shot: Shot, camera_ns: int) -> int:
+        """How much the two clocks say otherwise than at the last pair; 0: they agree, or nobody knows."""
+        if not (self.spacing.apart_ns and camera_ns and shot.fired_ns) or self._offset_ns is None:
+            return 0
+        drift_ns = camera_ns - shot.fired_ns - self._offset_ns
+        return drift_ns if abs(drift_ns) > self.spacing.apart_ns else 0
+
+    def _fits(self, shot: Shot, camera_frame_id: int, exposure_start_ns: int, camera_ns: int) -> bool:
         right_id = shot.expected_camera_id in (None, camera_frame_id)
-        return right_id and (exposure_start_ns == 0 or exposure_start_ns >= shot.at_mono_ns - self.tolerance_ns)
+        after = exposure_start_ns == 0 or exposure_start_ns >= shot.at_mono_ns - self.spacing.early_ns
+        return right_id and after and self._drift_ns(shot, camera_ns) == 0
 
     def _expect_anew(self) -> None:
         """The ids that the remaining triggers will have, now that the camera's counter is known."""
         assert self._last_camera_id is not None
-        for place, shot in enumerate(self.pending):
-            if shot.expected_camera_id is None:
-                known = {**shot.__dict__, "expected_camera_id": self._last_camera_id + 1 + place}
-                self.pending[place] = Shot(**known)
+        self._expect(self._last_camera_id + 1)
+
+    def _expect(self, first_id: int) -> None:
+        self.pending = deque(replace(shot, expected_camera_id=first_id + j) for j, shot in enumerate(self.pending))

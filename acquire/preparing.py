@@ -265,6 +265,7 @@ def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
         period_ms=period_ms,
         frame_timeout_ns=ns_from_ms(rig.camera.frame_timeout_ms),
         max_attempts=rig.camera.max_attempts,
+        camera_away_ns=ns_from_ms(rig.camera.away_s * 1000),
         writer_start_ns=ns_from_ms(rig.limits.writer_start_s * 1000),
         seal_ns=ns_from_ms(rig.limits.seal_s * 1000),
         motion_ns=ns_from_ms(2 * travel_ms + period_ms + plan.settle_ms + _LONGEST_FINAL_MOVE_MS),

@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
+from acquire.cameras.protocol import CameraGone, CameraLostError
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.lanes import Sender, shared
 from acquire.contract.layout import MARKS_NAME, OWNER_LOCK_NAME, TRUTH_NAME
@@ -62,9 +63,15 @@ class RunningScan:
         self._truth = self._rig.write_truth(self.prepared.folder, self.prepared.start.plan)
 
     def handle(self, event: SweepEvent, now_ns: int) -> None:
-        """Let the sweep answer to an event, and do what it says. A device that refuses ends the sweep."""
+        """Let the sweep answer to an event, and do what it says.
+
+        A stage that refuses ends the sweep; a camera that does is waited for.
+        """
         try:
             self._carry_out(self.sweep.handle(event, now_ns))
+        except CameraLostError as error:
+            for action in self.sweep.handle(CameraGone(str(error)), now_ns):
+                self._try(action)
         except SweepscopeError as error:
             logger.error("a device refused: %s", error)
             self._stop_what_moves()

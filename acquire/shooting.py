@@ -14,7 +14,7 @@ from acquire.contract.units import ns_from_ms, steps_to_um
 from acquire.stages.protocol import Segment, Triggered
 
 from .actions import Action, Arm, BeginSegment, Grant
-from .lockstep import Ledger
+from .lockstep import Ledger, Spacing
 from .overlap import OverlapLimits
 from .window import Window
 
@@ -51,6 +51,8 @@ class SweepSettings:
     seal_ns: int
     motion_ns: int
     """Longest wait for a move, for the next trigger that has credit, or for a stop."""
+    camera_away_ns: int = 0
+    """Longest wait for a camera that went away."""
     warm_up_ns: int = 0
     dark_frames: bool = True
     repeat_first: bool = True
@@ -66,6 +68,15 @@ class SweepSettings:
     def exposure_ns(self) -> int:
         """How long an exposure takes by the wall clock."""
         return ns_from_ms(self.plan.exposure_ms * self.time_scale)
+
+    @property
+    def spacing(self) -> Spacing:
+        """How far a frame may be from its trigger: on the fly the next one is a period away, else a time-out."""
+        if self.plan.mode == "step":
+            return Spacing(apart_ns=self.frame_timeout_ns // 2)
+        period_ns = ns_from_ms(self.period_ms * self.time_scale)
+        early_ns = min(Spacing().early_ns, period_ns // 4)
+        return Spacing(late_ns=period_ns * 3 // 4, early_ns=early_ns, apart_ns=ns_from_ms(self.period_ms / 4))
 
 
 @dataclass
@@ -113,7 +124,7 @@ class Shooting:
             period_ms=self.settings.period_ms,
             run_up_steps=self.settings.run_up_steps,
         )
-        self.ledger.arm(now_ns)
+        self.ledger.arm(now_ns, self.settings.spacing)
         self._first, self._last, self._gated = first, last, gated
         self.triggered_through = first - 1
         self.segment_done = False
@@ -137,6 +148,7 @@ class Shooting:
             trigger_cycles=event.trigger_cycles,
             at_mono_ns=event.at_mono_ns or now_ns,
             deadline_ns=now_ns + self.settings.exposure_ns + self.settings.frame_timeout_ns,
+            fired_ns=event.fired_ns,
         )
         return ""
 
@@ -169,8 +181,11 @@ class Shooting:
         return report(code, 0, committed=len(self.window.committed), expected=self.settings.plan.count, **facts)
 
     def _credit(self) -> int:
-        """The last frame that may be triggered: a slot is free, and in step mode the frame before has arrived."""
+        """The last frame that may be triggered: a slot is free, and the frame before has arrived.
+
+        The latter in step mode, and on the fly until time can tell frames apart (for a camera without a clock: always).
+        """
         through = min(self.window.may_trigger_through(), self._last)
-        if self.settings.plan.mode == "step":
+        if self.settings.plan.mode == "step" or not self.ledger.can_tell:
             through = min(through, self.triggered_through + (0 if self.ledger.pending else 1))
         return through

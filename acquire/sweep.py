@@ -98,9 +98,15 @@ class Sweep:
         return self.course.paused
 
     @property
+    def away(self) -> bool:
+        """True while the camera is gone; the sweep goes on by itself when it is back."""
+        return self.course.away
+
+    @property
     def state(self) -> State:
         """The rig's state that belongs to the phase."""
-        return rig_state(self.phase, holding=self.paused or self.silent or self.shooting.short_of_credit)
+        holding = self.paused or self.silent or self.away or self.shooting.short_of_credit
+        return rig_state(self.phase, holding=holding)
 
     @property
     def hold_reason(self) -> HoldReason | None:
@@ -109,7 +115,9 @@ class Sweep:
             return None
         if self.paused:
             return HoldReason.PAUSED
-        return HoldReason.LINK_LOST if self.silent else HoldReason.NO_CREDIT
+        if self.silent:
+            return HoldReason.LINK_LOST
+        return HoldReason.CAMERA_AWAY if self.away else HoldReason.NO_CREDIT
 
     @property
     def can_pause(self) -> bool:
@@ -185,9 +193,12 @@ class Sweep:
 
     def _on_camera_gone(self, event: CameraGone, now_ns: int) -> list[Action]:
         if event.back:
-            return []
-        loss = self.intake.camera_gone(event.detail)
-        return [RaiseFault(self.shooting.fault("F18")), *self._lose(loss, now_ns)]
+            said: list[Action] = [Say("the camera is back: frames that were lost are taken again")] if self.away else []
+            self.course.away = False
+            return said
+        lost = self._lose(self.intake.camera_gone(event.detail), now_ns)
+        fault = RaiseFault(self.shooting.fault("F18", detail=event.detail))
+        return [fault, *lost, *self.course.camera_gone(now_ns)]
 
     # ---- the stage's other words ----
 
@@ -264,6 +275,8 @@ class Sweep:
 
     def _on_tick(self, event: Tick, now_ns: int) -> list[Action]:
         proven: list[Action] = [*self.intake.proven(event.sound_ns)]
+        if self.course.camera_is_missed(now_ns):
+            proven += self._give_up(Outcome.INTERRUPTED, "it did not come back", "F18", now_ns)
         late = self.intake.overdue(now_ns)
         if late is not None:
             return proven + self._lose(late, now_ns)

@@ -43,8 +43,10 @@ class PairedEdges:
     the edge.
     """
 
-    def __init__(self, expose: Callable[[float, int, float], None], zero_at: int, um_per_microstep: float) -> None:
-        """``expose`` takes the true place at mid-exposure (microsteps), the time (ns), and the way during exposure."""
+    def __init__(self, expose: Callable[[float, int, float, int], None], zero_at: int, um_per_microstep: float) -> None:
+        """``expose`` takes the true place at mid-exposure (microsteps), the time (ns), the way during exposure, and the
+        time by the controller's clock (ns), which the simulated camera calls its own.
+        """
         self._expose, self._zero_at, self._um = expose, zero_at, um_per_microstep
         self._lock = threading.Lock()
         self._edges: deque[tuple[TriggerEdge, bool]] = deque()
@@ -95,7 +97,7 @@ class PairedEdges:
                 self._record.write(json.dumps(pair) + "\n")
             if delivered:
                 half_way = 0.0 if event.position_um is None else event.position_um / self._um - event.position_steps
-                self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way))
+                self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way), event.fired_ns)
 
 
 class TwinStage(UnoStage):

@@ -72,6 +72,7 @@ class FreeRunningCamera:
         self._armed = False
         self._frame_id = 0
         self._exposure_ns = 0
+        self._settings: CameraSettings | None = None
 
     def open(self, sink: CameraSink) -> CameraInfo:
         """Connect the source and read on."""
@@ -91,6 +92,7 @@ class FreeRunningCamera:
         """Apply settings; returns what the camera really uses."""
         used = self._source.configure(settings)
         self._exposure_ns = round(used.exposure_ms * NS_PER_MS)
+        self._settings = used
         return used
 
     def arm(self) -> None:
@@ -126,9 +128,18 @@ class FreeRunningCamera:
             except SweepscopeError as error:
                 logger.error("the camera delivers nothing any more: %s", error)
                 self._sink(CameraGone(str(error)))
-                return
+                if self._reading.until_back(self._open_again, (SweepscopeError,)):
+                    began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+                    self._sink(CameraGone("", back=True))
+                continue
             self._deliver(pixels, began_after_ns)
             began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+
+    def _open_again(self) -> None:
+        self._source.close()
+        self._source.open()
+        if self._settings is not None:
+            self._source.configure(self._settings)
 
     def _deliver(self, pixels: NDArray[Any], began_after_ns: int) -> None:
         """A picture that came after the one before may have begun to expose one exposure before that one's arrival."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +24,10 @@ from numpy.typing import NDArray
 from acquire.contract.config_model import CameraConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
 from acquire.contract.messages import FrameFormat
+from acquire.contract.units import NS_PER_S
 
-from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
+from .own_clock import OwnClock
+from .protocol import CameraFrame, CameraGone, CameraInfo, CameraLostError, CameraSettings, CameraSink
 from .reading import Reading
 
 logger = logging.getLogger(__name__)
@@ -45,6 +49,13 @@ FORMATS: Final[dict[str, tuple[int, str]]] = {
 
 _ERRORS: Final = (GenApiError, GenTLError, RuntimeError, OSError, ValueError)
 """What the camera makers' libraries raise."""
+_SIGNS: Final = ("TimestampLatch", "GevTimestampControlLatch")
+"""Commands that change nothing and reach the camera; the first that it has is its sign of life."""
+_QUIET_S = 1.0
+"""A camera that sends nothing for so long is asked for a sign of life: not every producer tells of a pulled cable."""
+_BUFFERS = 16
+"""Pictures that may wait while the host is late."""
+_BUSY_S = 0.5
 _PATH = "GENICAM_GENTL64_PATH"
 _FETCH_S = 0.1
 _GRAB_S = 5.0
@@ -61,6 +72,9 @@ class GenicamDevice:
         self._harvester: Harvester | None = None
         self._acquirer: Any = None
         self._own_id = 0
+        self._clock = OwnClock()
+        self._lock = threading.RLock()
+        """Held while the camera is opened or closed, and while a feature is used."""
         self.format = FrameFormat(config.width, config.height, 8)
         self.counts_frames = True
 
@@ -75,17 +89,21 @@ class GenicamDevice:
         Raises:
             ConfigError: no producer, no such camera, no trigger input, or a format that scans cannot store.
         """
-        self._harvester = harvester = Harvester()
-        for producer in _producers(self._config.producer):
-            harvester.add_file(str(producer))
-        harvester.update()
-        try:
-            self._acquirer = harvester.create(self._chosen(harvester))
-            self._set_up(trigger)
-            self._acquirer.start()
-        except BaseException:
-            self.close()
-            raise
+        producers = _producers(self._config.producer)
+        with self._lock:
+            self._clock = OwnClock()
+            self._harvester = harvester = Harvester()
+            try:
+                for producer in producers:
+                    harvester.add_file(str(producer))
+                harvester.update()
+                self._acquirer = harvester.create(self._chosen(harvester))
+                self._set_up(trigger)
+                self._acquirer.num_buffers = max(_BUFFERS, self._acquirer.min_num_buffers)
+                self._acquirer.start()
+            except BaseException:
+                self.close()
+                raise
         return self.format
 
     def _chosen(self, harvester: Harvester) -> int:
@@ -108,6 +126,8 @@ class GenicamDevice:
         self._set("AcquisitionMode", "Continuous")
         if trigger:
             self._set("TriggerSelector", "FrameStart")
+            self._set("TriggerActivation", "RisingEdge")
+            self._set("ExposureMode", "Timed")
             if not (self._set("TriggerSource", trigger) and self._set("TriggerMode", "On")):
                 raise ConfigError(
                     f"the camera has no trigger input {trigger}: set camera.trigger to one that it has, "
@@ -132,16 +152,31 @@ class GenicamDevice:
 
     def close(self) -> None:
         """Stop the stream and let go of the camera; idempotent, never raises."""
-        acquirer, self._acquirer = self._acquirer, None
-        harvester, self._harvester = self._harvester, None
-        for step in (acquirer and acquirer.stop, acquirer and acquirer.destroy, harvester and harvester.reset):
-            if step:
-                try:
-                    step()
-                except _ERRORS as error:
-                    logger.warning("a step of closing the camera failed: %s", error)
+        with self._lock:
+            acquirer, self._acquirer = self._acquirer, None
+            harvester, self._harvester = self._harvester, None
+            for step in (acquirer and acquirer.stop, acquirer and acquirer.destroy, harvester and harvester.reset):
+                if step:
+                    try:
+                        step()
+                    except _ERRORS as error:
+                        logger.warning("a step of closing the camera failed: %s", error)
 
     # ---- features ----
+
+    @contextmanager
+    def _answering(self) -> Iterator[None]:
+        """What the camera does not do is told as :class:`CameraLostError`; nobody waits while it is looked for."""
+        if not self._lock.acquire(timeout=_BUSY_S):
+            raise CameraLostError("the camera is away and being looked for")
+        try:
+            if self._acquirer is None:
+                raise CameraLostError("the camera is away")
+            yield
+        except _ERRORS as error:
+            raise CameraLostError(f"the camera does not answer: {in_words(error)}") from error
+        finally:
+            self._lock.release()
 
     def _node(self, name: str) -> Any:
         nodes = self._acquirer.remote_device.node_map
@@ -164,8 +199,16 @@ class GenicamDevice:
             return False
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """ExposureTime (us), Gain (dB) and BlackLevel, within the camera's limits; what it took is read back."""
-        limits = self.limits()
+        """ExposureTime (us), Gain (dB) and BlackLevel, within the camera's limits; what it took is read back.
+
+        Raises:
+            CameraLostError: it does not answer.
+        """
+        with self._answering():
+            return self._configure(settings)
+
+    def _configure(self, settings: CameraSettings) -> CameraSettings:
+        limits = self._limits()
         wanted = {name: getattr(settings, name) for name in CameraSettings.__struct_fields__}
         clipped = {
             name: min(max(value, limits[name][0]), limits[name][1]) if name in limits else value
@@ -185,6 +228,10 @@ class GenicamDevice:
 
     def limits(self) -> dict[str, tuple[float, float]]:
         """[lowest, highest] of the settings that the camera bounds."""
+        with self._answering():
+            return self._limits()
+
+    def _limits(self) -> dict[str, tuple[float, float]]:
         found = {}
         for name, feature, unit in (
             ("exposure_ms", "ExposureTime", _US_PER_MS),
@@ -197,12 +244,33 @@ class GenicamDevice:
         return found
 
     def trigger_by_software(self, line: str) -> None:
-        """One exposure now, then back to ``line``."""
-        self._set("TriggerSource", "Software")
-        command = self._node("TriggerSoftware")
-        if command is not None:
-            command.execute()
-        self._set("TriggerSource", line)
+        """One exposure now, then back to ``line``.
+
+        Raises:
+            CameraLostError: it does not answer, or does not listen to its TRIGGER wire again.
+        """
+        with self._answering():
+            self._set("TriggerSource", "Software")
+            command = self._node("TriggerSoftware")
+            if command is not None:
+                command.execute()
+            if not self._set("TriggerSource", line):
+                raise CameraLostError(f"the camera did not go back to its trigger input {line}")
+
+    def ask_for_a_sign(self) -> None:
+        """Reach the camera itself, behind whatever its libraries remember of it.
+
+        Raises:
+            CameraLostError: it does not answer.
+        """
+        with self._answering():
+            sign = next((name for name in _SIGNS if self._node(name) is not None), None)
+            if sign is not None:
+                self._node(sign).execute()
+                return
+            width = self._node("Width")
+            width.node.invalidate_node()
+            _ = width.value
 
     # ---- pictures ----
 
@@ -213,8 +281,9 @@ class GenicamDevice:
             return None
         try:
             pixels = self._pixels(buffer.payload.components[0])
-            # when it was exposed is not known on the host's clock: ids decide
-            return CameraFrame(pixels, self._frame_id(buffer), exposure_start_ns=0)
+            # when it was exposed is known by the camera's clock alone
+            camera_ns = self._clock.believed(_time_ns(buffer), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+            return CameraFrame(pixels, self._frame_id(buffer), exposure_start_ns=0, camera_ns=camera_ns)
         finally:
             buffer.queue()
 
@@ -255,6 +324,9 @@ class GenicamCamera:
         self._sink: CameraSink = lambda _event: None
         self._armed = False
         self._snaps = 0
+        self._settings: CameraSettings | None = None
+        self._failure: CameraLostError | None = None
+        """What a command from another thread came upon; the thread that reads looks after it."""
         self._reading = Reading("genicam-camera", self._serve)
 
     def open(self, sink: CameraSink) -> CameraInfo:
@@ -272,10 +344,13 @@ class GenicamCamera:
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply settings; returns what the camera took."""
-        return self._device.configure(settings)
+        taken = self._device.configure(settings)
+        self._settings = taken
+        return taken
 
     def arm(self) -> None:
         """Deliver what the wire triggers; nothing old waits, as the thread reads on all the time."""
+        self._snaps = 0
         self._armed = True
 
     def disarm(self) -> None:
@@ -285,18 +360,62 @@ class GenicamCamera:
     def snap(self) -> None:
         """One exposure by software."""
         self._snaps += 1
-        self._device.trigger_by_software(self._line)
+        try:
+            self._device.trigger_by_software(self._line)
+        except CameraLostError as error:
+            self._snaps, self._failure = 0, error
+            raise
 
     def _serve(self) -> None:
+        heard_s = time.monotonic()
         while not self._reading.ending:
             try:
                 frame = self._device.fetch(_FETCH_S)
-            except _ERRORS as error:
-                self._sink(CameraGone(f"the camera delivers nothing any more: {error}"))
-                return
-            if frame is not None and (self._armed or self._snaps):
-                self._snaps = max(0, self._snaps - 1)
-                self._sink(frame)
+                if frame is not None:
+                    heard_s = time.monotonic()
+                    self._deliver(frame)
+                elif time.monotonic() - heard_s > _QUIET_S:
+                    self._device.ask_for_a_sign()
+                    heard_s = time.monotonic()
+                if self._failure is not None:
+                    raise self._failure
+            except (SweepscopeError, *_ERRORS) as error:
+                self._come_back(error)
+                heard_s = time.monotonic()
+
+    def _deliver(self, frame: CameraFrame) -> None:
+        if self._armed or self._snaps:
+            self._snaps = max(0, self._snaps - 1)
+            self._sink(frame)
+
+    def _come_back(self, error: Exception) -> None:
+        """Say that the camera is gone, look for it, set it up as it was, and say that it is back."""
+        self._failure, self._snaps = None, 0
+        logger.error("the camera is gone: %s", in_words(error))
+        self._sink(CameraGone(in_words(error)))
+
+        def again() -> None:
+            self._device.close()
+            self._device.open(self._line)
+            if self._settings is not None:
+                self._device.configure(self._settings)
+
+        if self._reading.until_back(again, (SweepscopeError, *_ERRORS)):
+            self._sink(CameraGone("", back=True))
+
+
+def in_words(error: Exception) -> str:
+    """One line of what a library says, without its source file and line."""
+    first = (str(error).strip().splitlines() or [""])[0]
+    return first.partition(" (file ")[0] or type(error).__name__
+
+
+def _time_ns(buffer: Any) -> int:
+    """The camera's clock at the exposure; 0 where it has none."""
+    try:
+        return int(buffer.timestamp) * NS_PER_S // int(buffer.timestamp_frequency)
+    except (AttributeError, ZeroDivisionError, *_ERRORS):
+        return 0
 
 
 def _producers(named: str) -> list[Path]:

@@ -9,7 +9,12 @@ from typing import Any, Protocol
 import msgspec
 from numpy.typing import NDArray
 
+from acquire.contract.errors import SweepscopeError
 from acquire.contract.messages import FrameFormat
+
+
+class CameraLostError(SweepscopeError):
+    """The camera does not answer; its driver looks for it, and tells when it is back (:class:`CameraGone`)."""
 
 
 class CameraSettings(msgspec.Struct, frozen=True):
@@ -41,6 +46,8 @@ class CameraFrame:
     """The camera's own counter."""
     exposure_start_ns: int
     """CLOCK_MONOTONIC of the host, 0 unknown."""
+    camera_ns: int = 0
+    """The camera's own clock at the exposure, from wherever it counts; 0: it has none."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 
+logger = logging.getLogger(__name__)
+AGAIN_S = 1.0
 _JOIN_S = 10.0
 """A read that is under way may take so long to come back."""
 
@@ -27,6 +30,21 @@ class Reading:
         self._ending.clear()
         self._thread = threading.Thread(target=self._serve, name=self._name, daemon=True)
         self._thread.start()
+
+    def until_back(self, reopen: Callable[[], None], errors: tuple[type[Exception], ...]) -> bool:
+        """Look for a camera that went away once a second, from ``serve``; False when the reading was ended before."""
+        said = ""
+        while not self._ending.wait(AGAIN_S):
+            try:
+                reopen()
+            except errors as error:
+                if str(error) != said:
+                    said = str(error)
+                    logger.info("the camera is not back yet: %s", said)
+                continue
+            logger.info("the camera is back")
+            return True
+        return False
 
     def end(self) -> None:
         """End the thread and wait for it; idempotent."""

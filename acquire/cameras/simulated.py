@@ -34,7 +34,7 @@ class SimulatedCamera:
             pixel_format="rgb" if simulation.colour else "mono",
         )
         self._settings = CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
-        self._exposures: queue.Queue[tuple[float, float, int, int] | None] = queue.Queue(_QUEUE_FRAMES)
+        self._exposures: queue.Queue[tuple[float, float, int, int, int] | None] = queue.Queue(_QUEUE_FRAMES)
         self._thread: threading.Thread | None = None
         self._sink: CameraSink = lambda _frame: None
         self._armed = False
@@ -118,21 +118,21 @@ class SimulatedCamera:
         """One exposure now."""
         self._expose(self.where(), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
 
-    def on_trigger(self, position_steps: float, at_ns: int, travel_steps: float = 0.0) -> None:
+    def on_trigger(self, position_steps: float, at_ns: int, travel_steps: float = 0.0, camera_ns: int = 0) -> None:
         """The trigger line: the stage is at ``position_steps`` at mid-exposure, and travels on during the exposure."""
         if self._armed:
-            self._expose(position_steps, at_ns, travel_steps)
+            self._expose(position_steps, at_ns, travel_steps, camera_ns)
 
-    def _expose(self, position_steps: float, at_ns: int, travel_steps: float = 0.0) -> None:
+    def _expose(self, position_steps: float, at_ns: int, travel_steps: float = 0.0, camera_ns: int = 0) -> None:
         camera_frame_id, self._frame_id = self._frame_id, self._frame_id + 1
         try:
-            self._exposures.put_nowait((position_steps, travel_steps, camera_frame_id, at_ns))
+            self._exposures.put_nowait((position_steps, travel_steps, camera_frame_id, at_ns, camera_ns))
         except queue.Full:
             self.lost_exposures += 1
 
     def _serve(self) -> None:
         while (exposure := self._exposures.get()) is not None:
-            position_steps, travel_steps, camera_frame_id, at_ns = exposure
+            position_steps, travel_steps, camera_frame_id, at_ns, camera_ns = exposure
             self._wait_for_exposure(at_ns)
             self._faults.begin()
             attempt = self._taken[round(position_steps)]
@@ -147,7 +147,7 @@ class SimulatedCamera:
                 attempt=attempt,
                 travel_steps=travel_steps,
             )
-            for event in self._faults.deliver(CameraFrame(pixels, camera_frame_id, at_ns)):
+            for event in self._faults.deliver(CameraFrame(pixels, camera_frame_id, at_ns, camera_ns)):
                 self._sink(event)
 
     @property

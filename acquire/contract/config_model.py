@@ -86,6 +86,8 @@ class CameraConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A frame that has not arrived so long after the end of its exposure is lost and taken again, in ms."""
     max_attempts: Annotated[int, Meta(ge=1, le=255)] = 4
     """A frame that was lost so many times is a fault (F16, F19)."""
+    away_s: Seconds = 30.0
+    """A camera that went away is waited for so long; then the sweep is interrupted and can be resumed, in s."""
 
 
 class SweepConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

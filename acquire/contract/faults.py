@@ -65,7 +65,12 @@ _ROWS = (
         "check the trigger cable and the camera, then start again",
     ),
     Fault("F17", "the camera sent {count} frames that nobody triggered", "they are dropped", "check the trigger cable"),
-    Fault("F18", "the camera started again in mid-sweep", _KEPT + "; the stage holds", "nothing: frames are re-taken"),
+    Fault(
+        "F18",
+        "the camera went away: {detail}",
+        _KEPT + "; the stage holds",
+        "plug it in if it is out: frames are then re-taken; if the sweep has ended, resume the scan",
+    ),
     Fault("F19", "frame {frame} was damaged {attempts} times: {detail}", _KEPT, "check the camera and its cable"),
     Fault(
         "F20",

@@ -26,6 +26,7 @@ class HoldReason(StrEnum):
     PAUSED = "paused"
     NO_CREDIT = "no credit"
     LINK_LOST = "link lost"
+    CAMERA_AWAY = "camera away"
 
 
 class Outcome(StrEnum):

@@ -57,6 +57,8 @@ class Triggered(msgspec.Struct, frozen=True):
     """CLOCK_MONOTONIC of the host when it learned of it (or when it was fired, where that is known)."""
     position_um: float | None = None
     """Stage position at mid-exposure where the driver knows better than the microsteps; None otherwise."""
+    fired_ns: int = 0
+    """When it was fired by the controller's own clock, from wherever it counts; 0 unknown."""
 
 
 class SegmentDone(msgspec.Struct, frozen=True):

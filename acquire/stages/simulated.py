@@ -172,7 +172,7 @@ class SimulatedStage(HostRunStage):
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         middle_steps = self._position + travel_steps / 2
         middle_um = middle_steps * self._config.um_per_microstep if travel_steps else None
-        self._sink(Triggered(trigger_id, shot_index, self._position, at_ns, at_ns, middle_um))
+        self._sink(Triggered(trigger_id, shot_index, self._position, at_ns, at_ns, middle_um, fired_ns=at_ns))
         self._line(middle_steps, at_ns, travel_steps)
 
     def _travel(self, target_steps: int, rate_steps_per_s: float = 0.0) -> None:

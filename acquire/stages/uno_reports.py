@@ -44,6 +44,8 @@ _POLL_IDLE_S = 0.2
 _RESUME_AGAIN_S = 0.1
 _RECONNECT_S = 15.0
 """So long the controller may be away before the activity is given up."""
+_NS_PER_16_CYCLES = 1000
+"""At 16 MHz."""
 
 Activity = Literal["move", "home", "zero", "touch", "segment"]
 
@@ -167,7 +169,10 @@ class UnoReports:
                 self._next_event += 1
                 shot = event.trigger_id - self._first_id
                 middle_um = self._middle_um(event.position)
-                fired.append(Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns, middle_um))
+                fired_ns = event.cycles * _NS_PER_16_CYCLES // 16
+                fired.append(
+                    Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns, middle_um, fired_ns)
+                )
         return fired
 
     def _middle_um(self, position_steps: int) -> float | None:

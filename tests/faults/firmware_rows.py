@@ -20,7 +20,7 @@ from acquire.twin import PINS_NAME
 from tests.conftest import need
 from tui.client import RigClient
 
-from .harness import COUNT, START_S, STEPS, Rig, assert_promise
+from .harness import COUNT, EXPOSED_SHARE, START_S, STEPS, Rig, assert_promise
 from .rows import complete, resume
 
 LEASE_MS = 300.0
@@ -44,10 +44,6 @@ EMULATED = {
     "SWEEP__CHECK_LIMIT": "true",
 }
 """60 frames per second, where the machine is fast enough for it."""
-
-
-EXPOSED_SHARE = 30.0 * RATE_HZ / 1000.0
-"""Share of a period during which the shutter is open, with the camera's default of 30 ms."""
 
 
 class Bench:

@@ -41,6 +41,8 @@ START_S = 90.0
 """Longest wait for services to start on a machine that does other things as well."""
 PACED = {"SIMULATION__TIME_SCALE": 0.1, "SWEEP__MAX_RATE_HZ": 15.0}
 """150 frames per second: a sweep of a second, so that a fault finds it running."""
+EXPOSED_SHARE = 30.0 * float(PACED["SWEEP__MAX_RATE_HZ"]) / 1000.0
+"""Share of a period during which the shutter is open, with the camera's default of 30 ms."""
 
 
 @dataclass

@@ -26,7 +26,7 @@ from tests.fakes.bombs import hit
 from tui.client import RigClient
 
 from .clock import wall_clock_library
-from .harness import COUNT, FRAME_BYTES, START_S, Rig, assert_frames, assert_promise
+from .harness import COUNT, EXPOSED_SHARE, FRAME_BYTES, START_S, Rig, assert_frames, assert_promise
 from .small_disk import small_disk, why_not
 
 Row = Callable[[Rig], None]
@@ -290,10 +290,25 @@ def _scripted(rig: Rig, verbs: tuple[str, ...]) -> tuple[dict[str, Any], Status]
 
 def frames_lost(rig: Rig) -> None:
     """F16: a lost trigger and a lost frame are found and taken again at the same position, marked."""
+    _seen_by_nobody_on_the_fly(rig)
+    rig.kill("daemon")
+    rig.kill("writer")
     scan, status = _scripted(rig, ("lose", "skip"))
     with ScanReader(Path(scan["path"])) as reader:
         assert int((reader.status() == 2).sum()) == 2 and reader.field("attempt").max() == 1
     assert status.retaken == 2 and status.counters["lost"] == 2
+
+
+def _seen_by_nobody_on_the_fly(rig: Rig) -> None:
+    """No id is used up by a trigger that the camera does not see: the frames behind it must not move up."""
+    unseen = 5 + int(rig.at * (COUNT - 25))
+    rig.set(SIMULATION__FAULTS=f"skip:{unseen}", CAMERA__FRAME_TIMEOUT_MS=300)
+    rig.light = {k: {"on_the_fly": EXPOSED_SHARE} for k in range(COUNT)}
+    rig.start("daemon", "writer")
+    with rig.client() as client:
+        status = complete(rig, client, rig.begin(client, mode="fly"))
+    assert status.retaken >= 1
+    rig.light = {}
 
 
 def frames_extra(rig: Rig) -> None:

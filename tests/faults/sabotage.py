@@ -80,10 +80,16 @@ def _no_credit() -> None:
 def _no_ledger() -> None:
     from acquire.lockstep import Ledger, Pairing
 
-    def frame(self: Any, _camera_frame_id: int, _exposure_start_ns: int) -> Pairing:
+    def frame(self: Any, _camera_frame_id: int, _exposure_start_ns: int, _camera_ns: int) -> Pairing:
         return Pairing(self.pending.popleft() if self.pending else None)
 
     _replace(Ledger, "frame", frame)
+
+
+def _no_look_at_times() -> None:
+    from acquire.lockstep import Ledger
+
+    _replace(Ledger, "_skip_unseen", lambda *_args: ())
 
 
 def _no_retake() -> None:
@@ -358,6 +364,7 @@ PROTECTIONS: dict[str, Protection] = {
     "handshake": Protection("F14", "another firmware is refused", _no_handshake),
     "lease": Protection("F15", "the controller holds when it does not hear the host", _no_lease),
     "retake": Protection("F16", "a lost frame is taken again", _no_retake),
+    "times of frames": Protection("F16", "a frame is no trigger's that it is too late for", _no_look_at_times),
     "ledger": Protection("F17", "frames are paired by ids", _no_ledger),
     "retake after a restart": Protection("F18", "a lost frame is taken again", _no_retake),
     "format check": Protection("F19", "a frame of another shape is refused", _no_format_check),

@@ -11,10 +11,11 @@ from typing import Any, Self
 import zmq
 
 from acquire.contract.config import load_config
+from acquire.contract.config_model import RigConfig
 from acquire.contract.lanes import connect, receive
 from acquire.contract.messages import Picture
 from acquire.daemon import Daemon
-from acquire.rig import build_rig
+from acquire.rig import Rig, build_rig
 from tui.client import RigClient
 
 DEADLINE_S = 30.0
@@ -34,10 +35,16 @@ SMALL = {
 class RigInProcess:
     """Use it in a ``with`` block; ``settings`` are section.key -> value."""
 
-    def __init__(self, run_dir: Path, data_dir: Path, settings: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        run_dir: Path,
+        data_dir: Path,
+        settings: dict[str, Any],
+        make_rig: Callable[[RigConfig], Rig] = build_rig,
+    ) -> None:
         self.run_dir = run_dir
         config = load_config(overrides=SMALL | {"storage.data_dir": str(data_dir)} | settings, environ={})
-        self.daemon = Daemon(config, run_dir, build_rig(config.rig))
+        self.daemon = Daemon(config, run_dir, make_rig(config.rig))
         self._thread = threading.Thread(target=self.daemon.run, name="daemon")
 
     def __enter__(self) -> Self:
@@ -57,7 +64,7 @@ class RigInProcess:
             socket.close()
         self._context.destroy(linger=0)
 
-    def ask(self, name: str, **args: Any) -> dict[str, Any]:
+    def ask(self, name: str, /, **args: Any) -> dict[str, Any]:
         """One command as a client without a name."""
         return self._client.request(name, **args).result
 

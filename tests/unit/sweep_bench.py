@@ -40,6 +40,7 @@ def settings(count: int = 10, **changes: object) -> SweepSettings:
         "writer_start_ns": 5000 * MS,
         "seal_ns": 5000 * MS,
         "motion_ns": 5000 * MS,
+        "camera_away_ns": 5000 * MS,
         "check_limit": True,
     }
     return SweepSettings(**(known | changes))
@@ -53,6 +54,8 @@ class Bench:
     now_ns: int = 1_000_000 * MS
     lamp: bool = False
     acking: bool = True
+    tells_time: bool = True
+    """Whether the camera says when it exposed."""
     spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
     """Returns ``lose``, ``shape`` or ``mute`` (no ack) for a shot."""
     picture: NDArray[np.uint8] | None = None
@@ -165,7 +168,7 @@ class Bench:
             return
         shape = (4, 4) if how == "shape" else (4, 5)
         pixels = np.full(shape, self.lamp, np.uint8) if self.picture is None else self.picture.copy()
-        self._events.append(CameraFrame(pixels, self._camera_id, self.now_ns))
+        self._events.append(CameraFrame(pixels, self._camera_id, self.now_ns if self.tells_time else 0))
 
 
 def _item(image: Image) -> AckItem:

@@ -45,9 +45,9 @@ class Source:
 
     def close(self) -> None:
         self.closed = True
-        self.pictures.put(None)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
+        self.settings = settings
         return settings
 
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -117,6 +117,21 @@ def test_a_source_that_ends_is_told_as_a_camera_that_is_gone(free):
     _, source, events, _ = free
     source.pictures.put(None)
     assert events.get(timeout=5) == CameraGone("the cable was pulled")
+
+
+def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_shots(free, monkeypatch):
+    monkeypatch.setattr("acquire.cameras.reading.AGAIN_S", 0.01)
+    camera, source, events, _ = free
+    camera.configure(CameraSettings(0.01, 0.0, 0.0))
+    camera.arm()
+    source.settings = None
+    source.pictures.put(None)
+    assert not events.get(timeout=5).back
+    assert events.get(timeout=5) == CameraGone("", back=True)
+    assert source.settings == CameraSettings(0.01, 0.0, 0.0)
+    camera.fire(now_ns(), 0)
+    through(source, 1, 2, 3, 4)
+    assert isinstance(events.get(timeout=5), CameraFrame)
 
 
 # ---- webcams ----

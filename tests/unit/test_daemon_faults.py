@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from acquire.cameras.protocol import CameraInfo, CameraSettings
+from acquire.cameras.protocol import CameraGone, CameraInfo, CameraLostError, CameraSettings
 from acquire.contract.config import load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messages import FrameFormat
@@ -24,7 +24,7 @@ class Device:
     """Notes what is asked of it; the calls in ``refusing`` raise."""
 
     def __init__(self, kind: str) -> None:
-        self.kind, self.calls, self.refusing = kind, [], set()
+        self.kind, self.calls, self.refusing, self.lost = kind, [], set(), set()
 
     def open(self, _sink):
         small = FrameFormat(width=16, height=16, bit_depth=8)
@@ -41,6 +41,8 @@ class Device:
             self.calls.append(step)
             if step in self.refusing:
                 raise CommandRefusedError(f"{step} is refused")
+            if step in self.lost:
+                raise CameraLostError(f"{step} was not answered")
 
         return call
 
@@ -80,6 +82,21 @@ def test_a_device_that_refuses_stops_the_stage_and_ends_the_sweep(daemon, runnin
     assert "stop" in daemon.rig.stage.calls
     assert running.sweep.outcome is Outcome.INTERRUPTED
     assert [fault.code for fault in daemon.board.faults] == ["F12"]
+
+
+def test_a_camera_that_does_not_answer_is_waited_for_and_neither_ends_the_sweep_nor_the_daemon(daemon, running):
+    daemon.rig.camera.lost = {"snap"}
+    running.handle(WriterReady(reserved=True, came_back=False), NOW_NS)
+    assert running.sweep.outcome is Outcome.RUNNING and running.sweep.away
+    assert [fault.code for fault in daemon.board.faults] == ["F18"]
+
+
+def test_no_scan_begins_while_the_camera_is_away(daemon):
+    daemon._take_device_event(CameraGone("pulled"), NOW_NS)
+    with pytest.raises(CommandRefusedError, match="away"):
+        daemon._desk.serve("scan", {"name": "test", "purpose": "raw"})
+    daemon._take_device_event(CameraGone("", back=True), NOW_NS)
+    assert daemon._desk.serve("scan", {"name": "test", "purpose": "raw"})["expected"]
 
 
 def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(running):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from acquire.lockstep import Ledger
+import pytest
+
+from acquire.lockstep import Ledger, Spacing
 
 MS = 1_000_000
 
@@ -17,6 +19,7 @@ def fire(ledger: Ledger, frame_index: int, at_ms: int, attempt: int = 0) -> None
         trigger_cycles=0,
         at_mono_ns=at_ms * MS,
         deadline_ns=(at_ms + 100) * MS,
+        fired_ns=at_ms * MS,
     )
 
 
@@ -96,3 +99,72 @@ def test_giving_up_returns_all_that_was_awaited():
     ledger = armed()
     fire(ledger, 4, 1010)
     assert [shot.frame_index for shot in ledger.drop_all()] == [4]
+
+
+# ---- on the fly several triggers are under way: ids alone cannot tell of one that the camera never saw ----
+
+FLY = Spacing(late_ns=15 * MS, early_ns=5 * MS, apart_ns=5 * MS)
+"""A trigger every 20 ms."""
+CAMERA_AHEAD_NS = 77_000 * MS
+
+
+def on_the_fly() -> Ledger:
+    ledger = Ledger()
+    ledger.arm(1000 * MS, FLY)
+    return ledger
+
+
+@pytest.mark.parametrize("unseen", [0, 1, 2])
+def test_a_trigger_that_the_camera_never_saw_does_not_move_the_frames_behind_it_up(unseen):
+    ledger, pairs, lost = on_the_fly(), [], []
+    for k in range(5):
+        fire(ledger, k, 1010 + 20 * k)
+    for number, k in enumerate(k for k in range(5) if k != unseen):
+        pairing = ledger.frame(7 + number, (1010 + 20 * k) * MS)
+        pairs.append((k, pairing.shot and pairing.shot.frame_index))
+        lost += [shot.frame_index for shot in pairing.lost]
+    assert pairs == [(k, k) for k in range(5) if k != unseen] and lost == [unseen]
+
+
+def test_the_last_trigger_that_the_camera_never_saw_is_lost_by_its_deadline():
+    ledger = on_the_fly()
+    fire(ledger, 0, 1010)
+    fire(ledger, 1, 1030)
+    assert ledger.frame(7, 1010 * MS).shot is not None
+    assert [shot.frame_index for shot in ledger.overdue(1130 * MS)] == [1]
+
+
+def test_the_cameras_own_clock_tells_of_a_trigger_that_it_never_saw():
+    ledger = on_the_fly()
+    fire(ledger, 0, 1010)
+    first = ledger.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
+    assert first.shot is not None and ledger.can_tell
+    fire(ledger, 1, 1030)
+    fire(ledger, 2, 1050)
+    pairing = ledger.frame(8, 0, CAMERA_AHEAD_NS + 1051 * MS)
+    assert [shot.frame_index for shot in pairing.lost] == [1]
+    assert pairing.shot is not None and pairing.shot.frame_index == 2
+
+
+def test_a_frame_that_comes_too_late_by_the_cameras_clock_is_not_that_of_the_next_trigger():
+    ledger = on_the_fly()
+    fire(ledger, 0, 1010)
+    ledger.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
+    fire(ledger, 1, 1030)
+    ledger.overdue(1130 * MS)
+    fire(ledger, 2, 1050)
+    assert ledger.frame(8, 0, CAMERA_AHEAD_NS + 1030 * MS).shot is None
+    pairing = ledger.frame(9, 0, CAMERA_AHEAD_NS + 1050 * MS)
+    assert pairing.shot is not None and pairing.shot.frame_index == 2
+
+
+def test_a_camera_without_any_clock_leaves_the_ledger_unable_to_tell_and_each_arming_forgets_the_cameras_clock():
+    ledger = on_the_fly()
+    fire(ledger, 0, 1010)
+    ledger.frame(7, 0)
+    assert not ledger.can_tell
+    fire(ledger, 1, 1030)
+    ledger.frame(8, 0, CAMERA_AHEAD_NS)
+    assert ledger.can_tell
+    ledger.arm(2000 * MS)
+    assert not ledger.can_tell

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import msgspec
 import numpy as np
 import pytest
 
 from acquire.actions import RaiseFault
+from acquire.cameras.protocol import CameraGone
 from acquire.contract.messages import AckItem, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
@@ -14,7 +18,7 @@ from acquire.phases import Phase
 from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
 
-from .sweep_bench import MS, bench, done
+from .sweep_bench import MS, bench, done, settings
 
 
 def test_an_undisturbed_sweep_takes_each_frame_once_at_its_place():
@@ -98,6 +102,76 @@ def test_a_frame_that_is_lost_too_often_ends_the_sweep_as_failed_and_names_what_
     assert done(on) and on.sweep.outcome is Outcome.FAILED
     assert on.end is not None and on.end.end.missing == [(4, 9)]
     assert [fault.code for fault in on.faults] == ["F16"]
+
+
+def on_the_fly(count: int, tells_time: bool):
+    plan = msgspec.structs.replace(settings(count).plan, mode="fly")
+    on = bench(count, plan=plan, period_ms=20)
+    on.tells_time = tells_time
+    return on
+
+
+@pytest.mark.parametrize(("tells_time", "fired"), [(True, 10), (False, 5)])
+def test_on_the_fly_several_frames_are_under_way_only_where_time_can_tell_them_apart(tells_time, fired):
+    on = on_the_fly(10, tells_time)
+    on.spoil = lambda frame_index, attempt: "missed" if (frame_index, attempt) == (4, 0) else ""
+    # one in zero time after the other: here time tells nothing of which one was missed
+    on.sweep.shooting.settings = replace(on.sweep.settings, period_ms=0)
+    on.start()
+    assert len(on.triggers) == fired
+
+
+def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
+    on = bench(10, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(CameraGone("pulled"))
+    on.acking = True
+    on.ack_all()
+    on.tick(1)
+    assert (on.sweep.state, on.sweep.hold_reason) == (State.HOLDING, HoldReason.CAMERA_AWAY)
+    assert [fault.code for fault in on.faults] == ["F18"] and "pulled" in on.faults[0].happened
+    assert len(on.triggers) == 4 and on.stops == 1, "no trigger for a camera that is not there"
+    on.feed(CameraGone("", back=True))
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+    assert [image.frame_index for image in on.published if image.role == "sweep"] == list(range(10))
+
+
+def test_a_camera_that_stays_away_leaves_the_sweep_interrupted_so_that_it_can_be_resumed():
+    on = bench(10, slots=4, camera_away_ns=500 * MS)
+    on.acking = False
+    on.start()
+    on.feed(CameraGone("pulled"))
+    on.acking = True
+    on.ack_all()
+    on.tick(499)
+    assert not done(on)
+    on.tick(2)
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
+    assert on.end is not None and "F18" in on.end.end.reason and on.end.end.missing == [(4, 9)]
+
+
+def test_a_sweep_that_is_stopped_while_its_camera_is_away_ends_at_once():
+    on = bench(10, slots=4)
+    on.acking = False
+    on.start()
+    on.feed(CameraGone("pulled"))
+    on.ack_all()
+    on.feed(StopRequested())
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.STOPPED
+
+
+def test_a_camera_that_goes_away_while_the_lamp_warms_up_is_waited_for_before_the_first_trigger():
+    on = bench(3)
+    on.sweep.start(on.now_ns)
+    on.feed(WriterReady(reserved=True, came_back=False))
+    on.feed(CameraGone("pulled"))
+    on.tick(1)
+    assert on.triggers == [] and on.sweep.hold_reason is HoldReason.CAMERA_AWAY
+    on.feed(CameraGone("", back=True))
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
 
 
 def test_no_credit_no_trigger_and_the_sweep_resumes_when_half_the_window_is_free():
