@@ -110,11 +110,19 @@ class ConsoleApp(App[None]):
         self._stop = StopWatch()
         self._narrator = Narrator()
         self._unshown = False
+        if options.owns_rig:
+            self._say_that_leaving_ends_the_rig()
         self.set_class(options.ascii_only, "ascii")
         for theme in THEMES:
             self.register_theme(theme)
         self.theme = options.theme
         self.set_keymap(dict(options.keymap))
+
+    def _say_that_leaving_ends_the_rig(self) -> None:
+        """The help of the key must be true here as well."""
+        words = "leave, which ends the rig; a sweep would end with it, so it asks first"
+        (binding,) = self._bindings.key_to_bindings["q"]
+        self._bindings.key_to_bindings["q"] = [replace(binding, tooltip=words)]
 
     # ---- life ----
 
@@ -396,7 +404,7 @@ class ConsoleApp(App[None]):
     async def action_quit(self) -> None:
         """Leave; asked first if a sweep, or work on files, would end with this program."""
         question: Confirm | None = None
-        if self.options.owns_rig and is_running(self.view.status) and self.view.connected:
+        if self.options.owns_rig and is_running(self.view.status):
             question = ConfirmQuit()
         elif self.jobs.work:
             titles = [f"- {job.title}" for job in self.jobs.work]

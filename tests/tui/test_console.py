@@ -7,6 +7,7 @@ import time
 from collections.abc import Awaitable, Callable
 
 import msgspec
+import pytest
 
 from acquire.contract.messages import FaultReport, ResultEnd
 from acquire.contract.states import HoldReason, Outcome, State
@@ -242,6 +243,27 @@ def test_quitting_a_console_that_owns_the_rig_asks_while_a_sweep_runs():
         assert isinstance(stage.app.screen, ConfirmQuit)
         await stage.press("n")
         assert stage.app.is_running and not isinstance(stage.app.screen, ConfirmQuit)
+
+    drive(script, owns_rig=True)
+
+
+@pytest.mark.parametrize(("owns_rig", "words"), [(True, "asks first"), (False, "goes on without this screen")])
+def test_the_help_says_what_leaving_does_to_a_sweep(owns_rig, words):
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.press("question_mark")
+        (entry,) = [entry for entry in stage.app.screen._entries if entry.action == "quit"]
+        assert words in entry.words and (entry.key == "q")
+
+    drive(script, owns_rig=owns_rig)
+
+
+def test_a_console_that_owns_the_rig_asks_also_while_the_rig_is_not_heard():
+    async def script(stage):
+        await stage.connect(SWEEPING)
+        await stage.hear(LinkChanged(connected=False, detail="nothing is heard"))
+        await stage.press("q")
+        assert isinstance(stage.app.screen, ConfirmQuit)
 
     drive(script, owns_rig=True)
 

@@ -170,5 +170,8 @@ class ConfirmQuit(Confirm):
     """Asks before a sweep that would end with this program is given up."""
 
     def __init__(self) -> None:
-        lines = ("A sweep is running, and it ends with this demonstration.", "The frames taken so far are kept.")
+        lines = (
+            "A sweep is running, and it ends with this demonstration.",
+            "The frames taken so far are kept; the scan is closed as aborted and cannot go on.",
+        )
         super().__init__(lines, "end it and leave", no="stay")
