@@ -61,9 +61,10 @@ bench: $(STAMP)
 POINTS ?= 3
 SEEDS ?= 1
 KILLS ?= 200
+CONTROLLER ?= simulated
 BOMBS ?= 100000
 faults: $(TEST_STAMP)
-	$(PY) -m tests.faults --points $(POINTS) --seeds $(SEEDS) --kills $(KILLS) --bombs $(BOMBS) \
+	$(PY) -m tests.faults --points $(POINTS) --seeds $(SEEDS) --kills $(KILLS) --controller $(CONTROLLER) --bombs $(BOMBS) \
 		$(if $(SABOTAGE),--sabotage) $(if $(ROWS),--rows $(ROWS)) $(if $(WRITE),--write $(WRITE))
 
 MINUTES ?= 60

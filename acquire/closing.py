@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import msgspec
+
 from acquire.contract.messages import FaultReport
 from acquire.contract.states import Outcome
 from acquire.contract.units import NS_PER_S
@@ -97,10 +99,13 @@ class Closing:
         if self.phase is not Phase.SEAL:
             return []
         self.phase, self.result = Phase.DONE, event
+        # the writer has compared every frame with its checksum by now: what it says counts
+        self.shooting.window.revoke(event.end_ack.missing)
         if self.outcome is Outcome.INTERRUPTED or event.end_ack.sealed:
             return []
         self.decide(Outcome.INTERRUPTED, event.end_ack.reason)
-        return [RaiseFault(self.shooting.fault("F07", detail=event.end_ack.reason))]
+        fault = self.shooting.fault("F07", detail=event.end_ack.reason)
+        return [RaiseFault(msgspec.structs.replace(fault, to_do="mend the disk, then resume the scan"))]
 
     def time_is_up(self) -> list[Action]:
         """The writer did not answer in time."""

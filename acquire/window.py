@@ -66,6 +66,12 @@ class Window:
             self.prefix += 1
         return True
 
+    def revoke(self, missing: list[tuple[int, int]]) -> None:
+        """The file does not hold these any more, although it did: ranges [first, last] of frame indices."""
+        for frame_index in [k for k in self.committed if any(first <= k <= last for first, last in missing)]:
+            del self.committed[frame_index]
+            self.prefix = min(self.prefix, frame_index)
+
     def give_up(self, role: str, frame_index: int) -> None:
         """The writer will never take this frame: it is not kept any more, and counts as a conflict."""
         if self.kept.pop((role, frame_index), None) is not None:

@@ -106,11 +106,12 @@ def _table(accounts: dict[str, Account], options: argparse.Namespace) -> list[st
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make faults", description=__doc__)
-    parser.add_argument("--rows", default=",".join(sorted(ROWS | FIRMWARE_ROWS)), help="such as F01,F03")
+    parser.add_argument("--rows", default=",".join(sorted(ROWS | FIRMWARE_ROWS)), help="such as F01,F03; '': none")
     parser.add_argument("--points", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kills", type=int, default=0, help="SIGKILLs of a random process at random times")
+    parser.add_argument("--controller", choices=("simulated", "emulator"), default="simulated", help="for the kills")
     parser.add_argument("--bombs", type=int, default=0, help="messages that nobody should send, for each socket")
     parser.add_argument("--sabotage", action="store_true", help="switch each protection off in turn")
     parser.add_argument("--write", type=Path, help="put the table into this file, between its marks")
@@ -120,9 +121,9 @@ def _options() -> argparse.Namespace:
 def main() -> int:
     """Run what was asked for; 0 only if everything held and every sabotage was noticed."""
     options, began = _options(), time.monotonic()
-    accounts = {fault: _row(fault, options) for fault in options.rows.split(",")}
+    accounts = {fault: _row(fault, options) for fault in filter(None, options.rows.split(","))}
     lines = _table(accounts, options)
-    kills = kill_many(options.kills, options.seed) if options.kills else None
+    kills = kill_many(options.kills, options.seed, emulated=options.controller == "emulator") if options.kills else None
     if kills is not None:
         lines += ["", kills.words()]
     if options.bombs:

@@ -72,7 +72,8 @@ class Bench:
         self._socket.close()
 
 
-def _set_up(rig: Rig) -> None:
+def set_up(rig: Rig) -> None:
+    """Services that are started from now on run over the emulated controller."""
     need("the AVR tools", not missing_tools())
     places = rig.data_dir.parent / "tmp"
     places.mkdir(parents=True, exist_ok=True)
@@ -83,7 +84,7 @@ def _set_up(rig: Rig) -> None:
 @contextmanager
 def _emulated(rig: Rig) -> Iterator[tuple[RigClient, Bench]]:
     """Daemon and writer over an emulated controller that was homed."""
-    _set_up(rig)
+    set_up(rig)
     rig.start("daemon", "writer")
     with rig.client() as client:
         (control,) = rig.until(
@@ -91,13 +92,14 @@ def _emulated(rig: Rig) -> Iterator[tuple[RigClient, Bench]]:
         )
         bench = Bench(control)
         try:
-            _home(rig, client)
+            home(rig, client)
             yield client, bench
         finally:
             bench.close()
 
 
-def _home(rig: Rig, client: RigClient) -> None:
+def home(rig: Rig, client: RigClient) -> None:
+    """Find the zero, and wait until it is found."""
     client.request("home")
     rig.until_status(client, lambda s: s.state == "idle" and s.position_trusted, "the stage is homed")
 
@@ -123,7 +125,8 @@ def assert_pins(folder: Path, without: frozenset[int] = frozenset()) -> frozense
     # one clock, one offset; edges are seen between two instructions, and simavr 1.6 may drop an overflow now and then
     apart = [pair["true_cycles"] - pair["counted_cycles"] for pair in pairs]
     spread = [(value - apart[0] + OVERFLOW_CYCLES // 2) % OVERFLOW_CYCLES for value in apart]
-    assert max(spread) - min(spread) <= CLOCK_CYCLES, f"times of triggers are off by {max(spread) - min(spread)} cycles"
+    off = max(spread, default=0) - min(spread, default=0)
+    assert off <= CLOCK_CYCLES, f"times of triggers are off by {off} cycles"
     return present
 
 
@@ -175,7 +178,7 @@ def controller_reset(rig: Rig) -> None:
         with ScanReader(Path(scan["path"])) as reader:
             assert "F13" in str(reader.scalar("reason"))
         client.request("acknowledge")
-        _home(rig, client)
+        home(rig, client)
         resume(rig, client, scan)
         complete(rig, client, scan)
         assert_pins(Path(scan["path"]), before)
@@ -183,7 +186,7 @@ def controller_reset(rig: Rig) -> None:
 
 def other_firmware(rig: Rig) -> None:
     """F14: refused at the handshake with both versions named; the service leaves, nothing has moved."""
-    _set_up(rig)
+    set_up(rig)
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "other firmware"
     rig.start("daemon")
     process = rig.processes["daemon"]
@@ -244,7 +247,7 @@ def switches(rig: Rig) -> None:
         assert bench.pin("steps") == steps, "it moves after an alarm"
         bench.knob("estop 0" if estop else "limit auto")
         client.request("acknowledge")
-        _home(rig, client)
+        home(rig, client)
 
 
 FIRMWARE_ROWS = {

@@ -1,19 +1,25 @@
 """SIGKILLs of random processes at random times, sweep after sweep: what was committed stays, nobody has to do a thing.
 
-Killed services are started again as their supervisor would; the one step that is the operator's is to resume.
+Killed services are started again as their supervisor would; the one step that is the operator's is to resume, and over
+the emulated controller, which restarts with the daemon that it belongs to, to home before. There the pins are one more
+witness of where each frame was taken.
 """
 
 from __future__ import annotations
 
 import random
 import time
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from acquire.contract.errors import CommandRefusedError, NoServiceError
 from acquire.contract.scan_reader import ScanReader
 
+from .firmware_rows import assert_pins, home, set_up
 from .harness import Rig, a_rig, assert_frames, assert_promise
 
 VICTIMS = ("daemon", "writer", "worker")
@@ -30,7 +36,11 @@ class Kills:
     lost_or_changed: int = 0
     false_success: int = 0
     manual_steps: int = 0
+    ended: Counter[str] = field(default_factory=Counter)
+    """How the sweeps ended, by their outcome."""
     detail: str = ""
+    over: str = ""
+    """What the sweeps ran over, in words; empty: the simulated stage."""
 
     @property
     def held(self) -> bool:
@@ -41,17 +51,23 @@ class Kills:
         """One line for the table."""
         return (
             f"{self.kills} SIGKILLs of a random process (daemon, writer, worker) at random times in {self.sweeps} "
-            f"sweeps, {self.complete} of them complete in the end, {self.resumed} resumes: "
+            f"sweeps{self.over}, {self.complete} of them complete in the end, {self.resumed} resumes: "
             f"{self.lost_or_changed} committed frames lost or changed, {self.false_success} scans called success "
-            f"that were not, {self.manual_steps} manual steps. {self.detail}".strip()
+            f"that were not, {self.manual_steps} manual steps ({self._ends()}). {self.detail}".strip()
         )
 
+    def _ends(self) -> str:
+        never = self.sweeps - self.ended.total()
+        return ", ".join(f"{outcome} {count}" for outcome, count in [*self.ended.items(), ("never begun", never)])
 
-def kill_many(count: int, seed: int) -> Kills:
-    """Run sweeps and kill until ``count`` processes have died."""
-    kills, source = Kills(), random.Random(seed)
+
+def kill_many(count: int, seed: int, *, emulated: bool = False) -> Kills:
+    """Run sweeps and kill until ``count`` processes have died; ``emulated``: over the emulated firmware."""
+    kills, source = Kills(over=" over the emulated controller" if emulated else ""), random.Random(seed)
     while kills.kills < count:
         with a_rig(source.randrange(2**31), at=0.5) as rig:
+            if emulated:
+                set_up(rig)
             rig.start(*VICTIMS)
             while kills.kills < count and kills.held:
                 _one_sweep(rig, kills, source)
@@ -92,15 +108,24 @@ def _begin(rig: Rig, scan: dict[str, Any]) -> dict[str, Any]:
     try:
         with rig.client() as client:
             rig.until_status(client, lambda s: s.state == "idle" and s.writer_alive or s.state != "idle", "the rig")
+            status = client.status()
+            if status.state == "idle" and not status.position_trusted:
+                home(rig, client)
             if not scan:
                 return rig.begin(client)
-            status = client.status()
             if status.state != "idle":
                 return {}
+            # a controller that restarted counts its triggers anew
+            scan["before"] = _present(scan)
             client.request("resume_scan", path=scan["path"])
             return scan
     except (CommandRefusedError, NoServiceError):
         return {}
+
+
+def _present(scan: dict[str, Any]) -> frozenset[int]:
+    with ScanReader(Path(scan["path"])) as reader:
+        return frozenset(map(int, np.flatnonzero(reader.present())))
 
 
 def _wait_for_rest(rig: Rig) -> None:
@@ -143,6 +168,9 @@ def _settle(scan: dict[str, Any], rig: Rig, kills: Kills) -> None:
         with ScanReader(path) as reader:
             outcome = reader.outcome
         assert_promise(path, rig, outcome)
+        if kills.over and outcome == "complete":
+            assert_pins(path, scan.get("before", frozenset()))
+        kills.ended[outcome] += 1
         kills.complete += outcome == "complete"
     except AssertionError as error:
         kills.lost_or_changed += 1

@@ -13,7 +13,7 @@ from .harness import run_scan
 from .rows import ROWS
 from .sabotage import PROTECTIONS, can_be_taken_away
 
-ON_THE_WHOLE_SYSTEM = ("F12", "F13", "F23")
+ON_THE_WHOLE_SYSTEM = ("F11", "F12", "F13", "F15", "F23")
 """Rows of the controller that are shown here as well; all of them are in tests/firmware, and in ``make faults``."""
 
 

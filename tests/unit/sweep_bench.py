@@ -66,6 +66,8 @@ class Bench:
     triggers: list[tuple[int, int]] = field(default_factory=list)
     """(frame index, position) of every trigger that was fired."""
     end: do.Finish | None = None
+    sealed: EndAck | None = None
+    """What the writer says to the end; None: all is well."""
     stops: int = 0
     """How often the stage was told to stop."""
     _events: deque[SweepEvent] = field(default_factory=deque)
@@ -136,7 +138,8 @@ class Bench:
             case do.Finish():
                 self.end = action
                 sealed = action.end.outcome is not Outcome.INTERRUPTED
-                self._events.append(Sealed(EndAck(path="x", sealed=sealed, outcome=action.end.outcome, committed=0)))
+                usual = EndAck(path="x", sealed=sealed, outcome=action.end.outcome, committed=0)
+                self._events.append(Sealed(self.sealed or usual))
             case do.RaiseFault(fault):
                 self.faults.append(fault)
             case do.Say(text):

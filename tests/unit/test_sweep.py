@@ -10,7 +10,7 @@ import pytest
 
 from acquire.actions import RaiseFault
 from acquire.cameras.protocol import CameraGone
-from acquire.contract.messages import AckItem, FrameFormat, Nack
+from acquire.contract.messages import AckItem, EndAck, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
 from acquire.overlap import OverlapLimits
@@ -413,6 +413,15 @@ def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_seal():
     on.feed(Stopped(33, position_trusted=True))
     on.tick(5001)
     assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED and on.faults[-1].code == "F03"
+
+
+def test_frames_that_the_writer_finds_damaged_when_it_seals_are_not_called_safe():
+    on = bench(5)
+    on.sealed = EndAck(path="x", sealed=False, outcome=Outcome.RUNNING, committed=3, missing=[(1, 2)], reason="damaged")
+    on.start()
+    assert done(on) and on.sweep.outcome is Outcome.INTERRUPTED
+    assert sorted(on.sweep.window.committed) == [0, 3, 4] and on.sweep.window.prefix == 1
+    assert "3 of 5 frames" in on.faults[-1].safe and "resume" in on.faults[-1].to_do
 
 
 def _first_kept(on):
