@@ -15,7 +15,7 @@ from .activity_desk import ActivityDesk
 from .events import PauseRequested, ResumeRequested, StopRequested
 from .preparing import PreparedScan, check_scan, estimated_duration_s, prepare_scan
 from .requests import AcknowledgeRequest, NoArguments, ResumeScanRequest, ScanRequest, parse_request
-from .resuming import prepare_resume
+from .resuming import prepare_resume, released_on_failure
 from .rig_desk import Result
 
 
@@ -45,19 +45,25 @@ class Desk(ActivityDesk):
 
     def _resume_scan(self, request: ResumeScanRequest) -> Result:
         daemon = self._daemon
-        self._need_sweep("resume a scan", "step")
+        self._need_stage("resume a scan")
         prepared, settings = prepare_resume(Path(request.path), daemon.config, daemon.camera_info.format)
-        daemon.settings = daemon.rig.camera.configure(settings)
-        return self._begin(prepared)
+        with released_on_failure(prepared.lock):
+            self._check_mode(prepared.start.plan.mode)
+            daemon.settings = daemon.rig.camera.configure(settings)
+            return self._begin(prepared)
 
     def _need_sweep(self, what: str, mode: str) -> StageStatus:
+        stage = self._need_stage(what)
+        self._check_mode(mode)
+        return stage
+
+    def _need_stage(self, what: str) -> StageStatus:
         self._need_rest(what)
         if self._daemon.camera_away:
             raise CommandRefusedError(f"cannot {what}: the camera is away ({self._daemon.camera_away}); plug it in")
         stage = self._daemon.rig.stage.status()
         if not stage.position_trusted:
             raise CommandRefusedError(f"cannot {what}: the stage's position is not trusted; home it first")
-        self._check_mode(mode)
         return stage
 
     def _check_mode(self, mode: str) -> None:

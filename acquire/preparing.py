@@ -77,7 +77,7 @@ def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) 
         settle_ms=stage.settle_ms if request.settle_ms is None else request.settle_ms,
         exposure_ms=camera.exposure_ms,
     )
-    _check_travel(plan, stage)
+    check_travel(plan, stage)
     longest_ms = LONGEST_EXPOSURE_SHARE * 1000 / sweep.max_rate_hz
     if plan.mode == "fly" and plan.exposure_ms > longest_ms:
         raise CommandRefusedError(
@@ -89,7 +89,12 @@ def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) 
     return plan
 
 
-def _check_travel(plan: SweepPlan, stage: StageConfig) -> None:
+def check_travel(plan: SweepPlan, stage: StageConfig) -> None:
+    """Both ends of the plan can be reached.
+
+    Raises:
+        CommandRefusedError: one cannot.
+    """
     low, high = stage.travel_min_steps, stage.travel_max_steps
     for what, position in (("first", plan.first_steps), ("last", plan.last_steps)):
         if not low <= position <= high:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.calibration import parse_calibration
 from acquire.contract.config import LoadedConfig
+from acquire.contract.config_model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.layout import OWNER_LOCK_NAME, PARTIAL_NAME
 from acquire.contract.messages import FrameFormat, Start
@@ -23,7 +26,7 @@ from acquire.contract.scan_reader import ScanReader, read_marks
 from acquire.contract.units import UM_PER_MM
 
 from .overlap import OverlapLimits
-from .preparing import PreparedScan, sweep_settings, window_slots
+from .preparing import PreparedScan, check_travel, sweep_settings, window_slots
 from .shooting import ResumeFrom
 
 SPECIMEN_LIMIT_UM = 2.5
@@ -35,17 +38,39 @@ def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) 
 
     Raises:
         ScanFileError: no scan, or damaged.
-        CommandRefusedError: sealed already, nothing committed, or another camera format.
+        CommandRefusedError: sealed already, nothing committed, or a camera or a stage that is set otherwise.
         AlreadyRunningError: somebody owns the scan.
     """
     with ScanReader(scan) as reader:
         layout = reader.layout
         plan = _plan_to_go_on_with(layout, frame_format)
+        _check_stage(plan, config.rig.stage)
         lock = FileLock(layout.path.parent / OWNER_LOCK_NAME, "this scan")
-        start = _start_again(layout, plan)
-        settings = replace(sweep_settings(config, start), resume=_resume_from(reader))
-    prepared = PreparedScan(start, settings, window_slots(config, frame_format), layout.path.parent, lock, ())
-    return prepared, _camera_settings(layout, plan, config)
+        with released_on_failure(lock):
+            start = _start_again(layout, plan)
+            settings = replace(sweep_settings(config, start), resume=_resume_from(reader))
+            slots = window_slots(config, frame_format)
+            camera = _camera_settings(layout, plan, config)
+    return PreparedScan(start, settings, slots, layout.path.parent, lock, ()), camera
+
+
+@contextmanager
+def released_on_failure(lock: FileLock) -> Iterator[None]:
+    """A scan that does not go on is nobody's: else it would be in use by us until we end."""
+    try:
+        yield
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _check_stage(plan: SweepPlan, stage: StageConfig) -> None:
+    if plan.um_per_microstep != stage.um_per_microstep:
+        raise CommandRefusedError(
+            f"the scan was taken with {plan.um_per_microstep:g} um per microstep, the stage is set to "
+            f"{stage.um_per_microstep:g}: set stage.um_per_microstep as it was"
+        )
+    check_travel(plan, stage)
 
 
 def _plan_to_go_on_with(layout: ScanLayout, frame_format: FrameFormat) -> SweepPlan:

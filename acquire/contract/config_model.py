@@ -19,7 +19,7 @@ Bytes = Annotated[int, Meta(ge=1_000_000, le=2**40)]
 class StorageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where scans go and how hard they are pressed onto the disk."""
 
-    data_dir: str = "~/sweepscope-scans"
+    data_dir: Annotated[str, Meta(max_length=1024, pattern=r"^[^\x00-\x1f]*$")] = "~/sweepscope-scans"
     """Folder of all scans; it needs room for whole sweeps."""
     sync_every_frames: Annotated[int, Meta(ge=1, le=100_000)] = 64
     """Frames between two fdatasync: at most so many frames are at the mercy of a power cut."""

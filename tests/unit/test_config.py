@@ -48,6 +48,8 @@ def test_an_unknown_section_is_refused_with_the_nearest_valid_name(tmp_path):
         ("[reconstruct]\nmedian = 4\n", "odd"),
         ("[camera\n", "not valid TOML"),
         ("camera = 3\n", "section"),
+        ('[storage]\ndata_dir = "a\\u0000b"\n', "storage.data_dir"),
+        (f'[storage]\ndata_dir = "{"a/" * 2000}"\n', "storage.data_dir"),
     ],
 )
 def test_a_value_that_cannot_be_used_is_named(tmp_path, text, words):
