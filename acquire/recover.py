@@ -19,10 +19,10 @@ import numpy as np
 from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
 from acquire.contract.layout import (
     CREATING_PREFIX,
+    NO_SCAN_NAMES,
     OWNER_LOCK_NAME,
     PARTIAL_NAME,
     SEALED_NAME,
-    TRUTH_NAME,
     FrameStatus,
 )
 from acquire.contract.outcome import outcome_words
@@ -37,7 +37,6 @@ from .window import ranges_of
 
 State = Literal["in use", "no scan", "unreadable", "interrupted", "sealed"]
 NOTHING_IN_IT = "no frame is in it: there is nothing to resume"
-_NO_SCAN = frozenset({OWNER_LOCK_NAME, TRUTH_NAME})
 
 
 @dataclass(frozen=True)
@@ -171,7 +170,7 @@ def _is_being_written(leftover: Path) -> bool:
 
 def _without_scan(folder: Path) -> Recovered:
     """The owner died before the scan's file was made: nothing of worth can be here."""
-    strangers = {path.name for path in folder.iterdir()} - _NO_SCAN
+    strangers = {path.name for path in folder.iterdir()} - NO_SCAN_NAMES
     if strangers:
         return Recovered(folder, "no scan", detail="holds no scan file; what else is in it was left alone")
     shutil.rmtree(folder)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from acquire.cameras.protocol import CameraGone, CameraLostError
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.lanes import Sender, shared
-from acquire.contract.layout import MARKS_NAME, OWNER_LOCK_NAME, TRUTH_NAME
+from acquire.contract.layout import MARKS_NAME, NO_SCAN_NAMES
 from acquire.contract.messages import FaultReport, Image
 from acquire.stages.protocol import Alarm
 
@@ -108,7 +108,7 @@ class RunningScan:
         """A folder in which no scan file was ever made is no scan."""
         folder = self.prepared.folder
         try:
-            left = {path.name for path in folder.iterdir()} - {OWNER_LOCK_NAME, TRUTH_NAME}
+            left = {path.name for path in folder.iterdir()} - NO_SCAN_NAMES
         except OSError as error:
             logger.warning("the folder of the scan cannot be read any more: %s", error)
             return

@@ -18,6 +18,7 @@ import msgspec
 
 from acquire.cameras.simulated import SimulatedCamera
 from acquire.contract.config_model import RigConfig, StageConfig
+from acquire.contract.layout import PINS_NAME
 from acquire.contract.plan import SweepPlan
 from acquire.stages.emulator import Emulator, TriggerEdge, build_firmware
 from acquire.stages.protocol import Alarm, StageEvent, StageInfo, StageSink, Triggered
@@ -31,7 +32,6 @@ logger = logging.getLogger(__name__)
 
 EMULATOR_PORT = "emulator"
 """``stage.port`` that starts the emulated controller instead of opening a port."""
-PINS_NAME = "twin.jsonl"
 _LIMIT_AT = -300
 _LAMP_S = 2.0
 

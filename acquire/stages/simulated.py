@@ -154,7 +154,8 @@ class SimulatedStage(HostRunStage):
             self._sleep_until(next_s)
             self._position = place
             self._fire(shot_index, travel_steps)
-            next_s += period_s
+            # a thread that is late is a stage that is slower: two triggers are never closer than a period
+            next_s = max(next_s, time.monotonic()) + period_s
         self._end_with(SegmentDone(self._position))
 
     def _check_speed(self, segment: Segment) -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from acquire.contract.layout import PINS_NAME
 from acquire.contract.scan_reader import ScanReader
 from acquire.stages.emulator import missing_tools
-from acquire.twin import PINS_NAME
 from tests.conftest import need
 from tui.client import RigClient
 

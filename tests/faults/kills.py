@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from acquire.contract.errors import CommandRefusedError, NoServiceError
+from acquire.contract.errors import CommandRefusedError, NoServiceError, ScanFileError
 from acquire.contract.scan_reader import ScanReader
 
 from .firmware_rows import assert_pins, home, set_up
@@ -126,8 +126,11 @@ def _begin(rig: Rig, scan: dict[str, Any]) -> dict[str, Any]:
 
 
 def _present(scan: dict[str, Any]) -> frozenset[int]:
-    with ScanReader(Path(scan["path"])) as reader:
-        return frozenset(map(int, np.flatnonzero(reader.present())))
+    try:
+        with ScanReader(Path(scan["path"])) as reader:
+            return frozenset(map(int, np.flatnonzero(reader.present())))
+    except ScanFileError:
+        return frozenset()  # its file was never made
 
 
 def _wait_for_rest(rig: Rig) -> None:

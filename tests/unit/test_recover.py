@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.layout import OWNER_LOCK_NAME, FrameStatus
+from acquire.contract.layout import NO_SCAN_NAMES, OWNER_LOCK_NAME, FrameStatus
 from acquire.contract.places import FileLock
 from acquire.contract.scan_reader import ScanReader
 from acquire.contract.states import Outcome
@@ -110,6 +110,8 @@ def test_a_folder_in_which_no_scan_was_ever_made_goes(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / OWNER_LOCK_NAME).write_text("1\n")
     (tmp_path / "a" / ".creating-u").write_bytes(b"half")
+    for name in NO_SCAN_NAMES:
+        (tmp_path / "a" / name).write_text("1\n")
     assert one(tmp_path).state == "no scan"
     assert not (tmp_path / "a").exists()
 
