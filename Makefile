@@ -62,9 +62,10 @@ POINTS ?= 3
 SEEDS ?= 1
 KILLS ?= 200
 CONTROLLER ?= simulated
+MODE ?= step
 BOMBS ?= 100000
 faults: $(TEST_STAMP)
-	$(PY) -m tests.faults --points $(POINTS) --seeds $(SEEDS) --kills $(KILLS) --controller $(CONTROLLER) --bombs $(BOMBS) \
+	$(PY) -m tests.faults --mode $(MODE) --points $(POINTS) --seeds $(SEEDS) --kills $(KILLS) --controller $(CONTROLLER) --bombs $(BOMBS) \
 		$(if $(SABOTAGE),--sabotage) $(if $(ROWS),--rows $(ROWS)) $(if $(WRITE),--write $(WRITE))
 
 MINUTES ?= 60

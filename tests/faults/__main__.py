@@ -41,10 +41,10 @@ class Account:
     missed: list[str] = field(default_factory=list)
 
 
-def _try(fault: str, at: float, seed: int, sabotage: str = "") -> str:
+def _try(fault: str, at: float, seed: int, sabotage: str = "", mode: str = "step") -> str:
     """Run once; empty when the promise held, else why not in one line."""
     try:
-        run_scan(fault, at, seed, sabotage)
+        run_scan(fault, at, seed, sabotage, mode)
     except KeyboardInterrupt:
         raise
     except pytest.skip.Exception as skipped:
@@ -55,10 +55,10 @@ def _try(fault: str, at: float, seed: int, sabotage: str = "") -> str:
     return ""
 
 
-def _without(fault: str, protection: str, seed: int) -> str:
+def _without(fault: str, protection: str, seed: int, mode: str) -> str:
     """Why the promise broke without a protection; noise hurts by chance, so it has some chances to."""
     for chance in range(CHANCES):
-        why = _try(fault, 0.4, seed + chance, protection)
+        why = _try(fault, 0.4, seed + chance, protection, mode)
         if why:
             return why
     return ""
@@ -70,7 +70,7 @@ def _row(fault: str, options: argparse.Namespace) -> Account:
         for point in range(options.points):
             at = (point + 0.5) / options.points
             account.points += 1
-            why = _try(fault, at, seed)
+            why = _try(fault, at, seed, mode=options.mode)
             account.held += not why
             if why:
                 account.failures.append(f"{fault} at={at:.3f} seed={seed}: {why}")
@@ -79,7 +79,7 @@ def _row(fault: str, options: argparse.Namespace) -> Account:
         if options.sabotage and protection.row == fault:
             account.protections += 1
             assert can_be_taken_away(name), f"{name!r} is not where it is looked for"
-            why = _without(fault, name, options.seed)
+            why = _without(fault, name, options.seed, options.mode)
             account.caught += bool(why)
             print(f"  without {name!r}: {'red: ' + why if why else 'STAYED GREEN'}", flush=True)
             if not why:
@@ -89,7 +89,7 @@ def _row(fault: str, options: argparse.Namespace) -> Account:
 
 def _table(accounts: dict[str, Account], options: argparse.Namespace) -> list[str]:
     lines = [
-        f"{options.points} points in the sweep, {options.seeds} seeds from {options.seed}.",
+        f"{options.points} points in the sweep, {options.seeds} seeds from {options.seed}, {options.mode} mode.",
         "",
         "| fault | what happens | runs | held | lost | protections switched off | noticed |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -107,6 +107,7 @@ def _table(accounts: dict[str, Account], options: argparse.Namespace) -> list[st
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make faults", description=__doc__)
     parser.add_argument("--rows", default=",".join(sorted(ROWS | FIRMWARE_ROWS)), help="such as F01,F03; '': none")
+    parser.add_argument("--mode", choices=("step", "fly"), default="step", help="of the sweeps")
     parser.add_argument("--points", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)

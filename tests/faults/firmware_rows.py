@@ -13,15 +13,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from acquire.contract.errors import CommandRefusedError
 from acquire.contract.layout import PINS_NAME
 from acquire.contract.scan_reader import ScanReader
 from acquire.stages.emulator import missing_tools
 from tests.conftest import need
 from tui.client import RigClient
 
-from .harness import COUNT, EXPOSED_SHARE, START_S, STEPS, Rig, assert_promise
-from .rows import complete, resume
+from .harness import EXPOSED_SHARE, START_S, STEPS, Rig, assert_promise
+from .rows import complete, outcome_in_file, resume
 
 LEASE_MS = 300.0
 PACE = 4.0
@@ -207,7 +209,7 @@ def host_late(rig: Rig) -> None:
     """F15: the controller does not hear the host: it holds within its lease, at a known place, and goes on with it."""
     with _emulated(rig) as (client, bench):
         offset = _offset(rig, client, bench)
-        rig.light = {k: {"on_the_fly": EXPOSED_SHARE} for k in range(COUNT)}
+        rig.light.on_the_fly = EXPOSED_SHARE
         scan = rig.begin(client, mode="fly")
         rig.at *= 0.5
         rig.moment(client)
@@ -248,6 +250,25 @@ def switches(rig: Rig) -> None:
         bench.knob("estop 0" if estop else "limit auto")
         client.request("acknowledge")
         home(rig, client)
+
+
+def daemon_killed_over_the_controller(rig: Rig) -> None:
+    """F01 with the controller's eyes: it ends with the daemon, is homed anew, and the scan goes on where it was."""
+    with _emulated(rig) as (client, _bench):
+        scan = rig.begin(client)
+        rig.moment(client)
+        rig.kill("daemon")
+    rig.until(lambda: outcome_in_file(scan) == "interrupted", "the scan is marked as interrupted")
+    before = assert_pins(Path(scan["path"]))
+    assert_promise(Path(scan["path"]), rig, "interrupted")
+    rig.start("daemon")
+    with rig.client() as client:
+        with pytest.raises(CommandRefusedError, match="home it first"):
+            client.request("resume_scan", path=scan["path"])
+        home(rig, client)
+        resume(rig, client, scan)
+        complete(rig, client, scan)
+    assert_pins(Path(scan["path"]), before)
 
 
 FIRMWARE_ROWS = {

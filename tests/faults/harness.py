@@ -45,6 +45,17 @@ EXPOSED_SHARE = 30.0 * float(PACED["SWEEP__MAX_RATE_HZ"]) / 1000.0
 """Share of a period during which the shutter is open, with the camera's default of 30 ms."""
 
 
+class Light(dict[int, dict[str, float]]):
+    """What was otherwise with the light of a frame, by its index, and whether the stage moved below the shutter."""
+
+    on_the_fly = 0.0
+    """Share of a frame's way during which the shutter is open; 0: the stage stands."""
+
+    def of(self, frame_index: int) -> dict[str, float]:
+        """What :func:`expected` must know of a frame."""
+        return {"on_the_fly": self.on_the_fly} | self.get(frame_index, {})
+
+
 @dataclass
 class Seen:
     """What the status lane told of one scan: the tap of acks."""
@@ -71,13 +82,22 @@ class Rig(Appliance):
         self.random, self.at, self.sabotage, self.seed = random.Random(seed), at, sabotage, seed
         self.deadline_s = 20.0 if sabotage else 60.0
         self.seen: dict[str, Seen] = {}
-        self.light: dict[int, dict[str, float]] = {}
-        """What the lamp did to a frame, where a row changes the light."""
+        self.light = Light()
         self.flag = data_dir.parent / "flag"
         """A file whose existence switches an injected fault on."""
         self.environ["SWEEPSCOPE_TEST_FLAG"] = str(self.flag)
         self.prefix: list[str] = []
         """Command that services are started with: another place to live in."""
+
+    @property
+    def flies(self) -> bool:
+        """The stage does not stop for a frame: those that are under way when one is lost may be taken again as well."""
+        return self.light.on_the_fly > 0
+
+    def fly(self) -> None:
+        """Sweeps of services started from now on are on the fly."""
+        self.set(SWEEP__MODE="fly")
+        self.light.on_the_fly = EXPOSED_SHARE
 
     def set(self, **settings: Any) -> None:
         """Settings for services started from now on: SECTION__KEY=value."""
@@ -168,7 +188,7 @@ def a_rig(seed: int, at: float, sabotage: str = "") -> Iterator[Rig]:
             rig.close()
 
 
-def run_scan(fault: str, at: float, seed: int, sabotage: str = "") -> None:
+def run_scan(fault: str, at: float, seed: int, sabotage: str = "", mode: str = "step") -> None:
     """One run of one row of the table: inject the fault, check the promise; raises where it does not hold.
 
     Args:
@@ -176,12 +196,15 @@ def run_scan(fault: str, at: float, seed: int, sabotage: str = "") -> None:
         at: share of the sweep after which the fault comes, 0..1.
         seed: of everything that is random.
         sabotage: a protection that is switched off (``sabotage.PROTECTIONS``); the row must then fail.
+        mode: ``step`` or ``fly``.
     """
     from .firmware_rows import FIRMWARE_ROWS
     from .rows import ROWS
 
-    print(f"{fault} at={at:.3f} seed={seed} {sabotage}", flush=True)
+    print(f"{fault} at={at:.3f} seed={seed} {mode} {sabotage}", flush=True)
     with a_rig(seed, at, sabotage) as rig:
+        if mode == "fly":
+            rig.fly()
         (ROWS | FIRMWARE_ROWS)[fault](rig)
 
 
@@ -207,14 +230,14 @@ def expected(frame_index: int, lamp: float = 1.0, room: float = 1.0, on_the_fly:
     )  # fmt: skip
 
 
-def assert_frames(folder: Path, light: dict[int, dict[str, float]] | None = None) -> int:
+def assert_frames(folder: Path, light: Light) -> int:
     """Whatever the file calls committed is there, bit for bit, at its place; returns how many frames that are."""
     with ScanReader(folder) as reader:
         status, positions, present = reader.status(), reader.field("position_steps"), reader.present()
         assert np.isin(status, list(FrameStatus)).all()
         for k in (int(index) for index in np.flatnonzero(present)):
             assert positions[k] == STEPS * k, f"frame {k} was taken at {positions[k]}"
-            wanted = expected(k, **(light or {}).get(k, {}))
+            wanted = expected(k, **light.of(k))
             assert np.array_equal(reader.frame(k), wanted), f"frame {k} is another one than the rig showed"
             assert reader.crc_is_right(k)
         return int(present.sum())
@@ -248,10 +271,10 @@ def assert_promise(folder: Path, rig: Rig, outcome: str) -> None:
         assert status.committed == there
 
 
-def _digest(present: Any, light: dict[int, dict[str, float]]) -> str:
+def _digest(present: Any, light: Light) -> str:
     crc32 = np.zeros(COUNT, np.uint32)
     for k in (int(index) for index in np.flatnonzero(present)):
-        crc32[k] = frame_crc32(expected(k, **light.get(k, {})))
+        crc32[k] = frame_crc32(expected(k, **light.of(k)))
     return scan_digest(crc32)
 
 

@@ -148,7 +148,7 @@ def _sealed(scan: dict[str, Any]) -> bool:
 def _check(scan: dict[str, Any], rig: Rig, kills: Kills) -> None:
     """What is called committed right now is exact, and at least what was acked."""
     try:
-        there = assert_frames(Path(scan["path"]))
+        there = assert_frames(Path(scan["path"]), rig.light)
         with ScanReader(Path(scan["path"])) as reader:
             seen = rig.seen.get(reader.layout.scan_uid)
         if seen is not None and there < seen.committed:

@@ -26,7 +26,7 @@ from tests.fakes.bombs import hit
 from tui.client import RigClient
 
 from .clock import wall_clock_library
-from .harness import COUNT, EXPOSED_SHARE, FRAME_BYTES, START_S, Rig, assert_frames, assert_promise
+from .harness import COUNT, EXPOSED_SHARE, FRAME_BYTES, PACED, START_S, Rig, assert_frames, assert_promise
 from .small_disk import small_disk, why_not
 
 Row = Callable[[Rig], None]
@@ -41,7 +41,8 @@ def complete(rig: Rig, client: RigClient, scan: dict[str, Any]) -> Status:
     return status
 
 
-def _outcome_in_file(scan: dict[str, Any]) -> str:
+def outcome_in_file(scan: dict[str, Any]) -> str:
+    """What the scan's file says of its end; empty where there is none."""
     try:
         with ScanReader(Path(scan["path"])) as reader:
             return reader.outcome
@@ -72,7 +73,7 @@ def daemon_killed(rig: Rig) -> None:
         scan = rig.begin(client)
         rig.moment(client)
         rig.kill("daemon")
-    rig.until(lambda: _outcome_in_file(scan) == "interrupted", "the scan is marked as interrupted")
+    rig.until(lambda: outcome_in_file(scan) == "interrupted", "the scan is marked as interrupted")
     assert_promise(Path(scan["path"]), rig, "interrupted")
     rig.start("daemon")
     with rig.client() as client:
@@ -99,7 +100,7 @@ def writer_killed(rig: Rig) -> None:
         scan = rig.begin(client)
         rig.moment(client)
         rig.kill("writer")
-        assert_frames(Path(scan["path"]))
+        assert_frames(Path(scan["path"]), rig.light)
         rig.start("writer")
         complete(rig, client, scan)
 
@@ -156,7 +157,7 @@ def disk_full(rig: Rig) -> None:
         rig.moment(client)
         rig.flag.touch()
         rig.told(client, "F06")
-        assert_frames(Path(scan["path"]))
+        assert_frames(Path(scan["path"]), rig.light)
         rig.flag.unlink()
         complete(rig, client, scan)
     for service in ("daemon", "writer"):
@@ -195,7 +196,7 @@ def disk_broken(rig: Rig) -> None:
         rig.moment(client)
         rig.flag.touch()
         assert "mend" in rig.told(client, "F07")
-        assert_frames(Path(scan["path"]))
+        assert_frames(Path(scan["path"]), rig.light)
         rig.flag.unlink()
         complete(rig, client, scan)
         client.request("acknowledge")
@@ -295,20 +296,21 @@ def frames_lost(rig: Rig) -> None:
     rig.kill("writer")
     scan, status = _scripted(rig, ("lose", "skip"))
     with ScanReader(Path(scan["path"])) as reader:
-        assert int((reader.status() == 2).sum()) == 2 and reader.field("attempt").max() == 1
-    assert status.retaken == 2 and status.counters["lost"] == 2
+        assert int((reader.status() == 2).sum()) == status.retaken
+    assert status.retaken == 2 or (rig.flies and status.retaken > 2)
 
 
 def _seen_by_nobody_on_the_fly(rig: Rig) -> None:
     """No id is used up by a trigger that the camera does not see: the frames behind it must not move up."""
     unseen = 5 + int(rig.at * (COUNT - 25))
-    rig.set(SIMULATION__FAULTS=f"skip:{unseen}", CAMERA__FRAME_TIMEOUT_MS=300)
-    rig.light = {k: {"on_the_fly": EXPOSED_SHARE} for k in range(COUNT)}
+    rig.set(SIMULATION__FAULTS=f"skip:{unseen}", CAMERA__FRAME_TIMEOUT_MS=300, SIMULATION__TIME_SCALE=0.3)
+    before, rig.light.on_the_fly = rig.light.on_the_fly, EXPOSED_SHARE
     rig.start("daemon", "writer")
     with rig.client() as client:
         status = complete(rig, client, rig.begin(client, mode="fly"))
     assert status.retaken >= 1
-    rig.light = {}
+    rig.light.on_the_fly = before
+    rig.set(**PACED)
 
 
 def frames_extra(rig: Rig) -> None:
@@ -320,7 +322,7 @@ def frames_extra(rig: Rig) -> None:
 def camera_restarts(rig: Rig) -> None:
     """F18: ids start again; the frame is re-taken."""
     scan, status = _scripted(rig, ("restart",))
-    assert status.retaken == 1
+    assert status.retaken == 1 or (rig.flies and status.retaken > 1)
     assert "re-taken" in rig.seen[scan["scan_uid"]].faults["F18"]
 
 
@@ -328,11 +330,11 @@ def frames_of_another_shape(rig: Rig) -> None:
     """F19: refused and re-taken or sent again; a camera that does nothing else is a fault with a name."""
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "bits flip"
     first, status = _scripted(rig, ("shape", "type"))
-    assert status.counters["damaged"] == 2 and status.retaken == 2
+    assert status.counters["damaged"] == 2 and (status.retaken == 2 or (rig.flies and status.retaken > 2))
     assert "on its way to the writer" in rig.seen[first["scan_uid"]].faults["F19"]
     rig.kill("daemon")
     exposure = 5 + int(rig.at * (COUNT - 25))
-    rig.set(SIMULATION__FAULTS=",".join(f"shape:{exposure + k}" for k in range(4)))
+    rig.set(SIMULATION__FAULTS=",".join(f"shape:{exposure + k}" for k in range(COUNT)))
     rig.start("daemon")
     with rig.client() as client:
         scan = rig.begin(client)
@@ -496,7 +498,7 @@ def everything_killed(rig: Rig) -> None:
     torn = _tear_the_last_frame(Path(scan["path"]))
     rig.random.shuffle(services)
     rig.start(*services)
-    rig.until(lambda: _outcome_in_file(scan) == "interrupted", "the scan is marked as interrupted")
+    rig.until(lambda: outcome_in_file(scan) == "interrupted", "the scan is marked as interrupted")
     rig.seen.clear()  # what was acked before the frame was torn by hand is no witness any more
     rig.until(lambda: not _is_present(scan, torn), "the torn frame is found")
     assert_promise(Path(scan["path"]), rig, "interrupted")
@@ -549,7 +551,7 @@ def light_changes(rig: Rig) -> None:
     changed_at = 5 + int(rig.at * (COUNT - 25))
     # exposure 0 is the ambient frame
     rig.set(SIMULATION__FAULTS=f"dim:{changed_at + 1}")
-    rig.light = {k: {"lamp": 0.7} for k in range(changed_at, COUNT)}
+    rig.light.update({k: {"lamp": 0.7} for k in range(changed_at, COUNT)})
     rig.start("daemon", "writer")
     with rig.client() as client:
         scan = rig.begin(client)

@@ -8,8 +8,8 @@ import pytest
 
 from acquire.contract.faults import FAULTS
 
-from .firmware_rows import FIRMWARE_ROWS
-from .harness import run_scan
+from .firmware_rows import FIRMWARE_ROWS, daemon_killed_over_the_controller
+from .harness import a_rig, run_scan
 from .rows import ROWS
 from .sabotage import PROTECTIONS, can_be_taken_away
 
@@ -20,6 +20,11 @@ ON_THE_WHOLE_SYSTEM = ("F11", "F12", "F13", "F15", "F23")
 @pytest.mark.parametrize("fault", sorted([*ROWS, *ON_THE_WHOLE_SYSTEM]))
 def test_the_promise_holds_under(fault):
     run_scan(fault, at=0.4, seed=int(fault[1:]))
+
+
+def test_a_killed_daemon_costs_no_frame_over_the_emulated_controller_either():
+    with a_rig(seed=1, at=0.4) as rig:
+        daemon_killed_over_the_controller(rig)
 
 
 def test_every_row_of_the_table_has_its_place():
