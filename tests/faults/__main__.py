@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -51,7 +52,8 @@ def _try(fault: str, at: float, seed: int, sabotage: str = "", mode: str = "step
         print(f"  in part only: {skipped}", flush=True)
     except BaseException as error:
         # whatever a test can raise is an answer here
-        return (str(error).strip().splitlines() or [""])[0][:160] or type(error).__name__
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return (str(error).strip().splitlines() or [""])[0][:160] or f"{type(error).__name__}: {where.line}"
     return ""
 
 

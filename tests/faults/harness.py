@@ -91,7 +91,7 @@ class Rig(Appliance):
 
     @property
     def flies(self) -> bool:
-        """The stage does not stop for a frame: those that are under way when one is lost may be taken again as well."""
+        """The stage does not stop for a frame: those under way when one is lost may be lost with it, or one twice."""
         return self.light.on_the_fly > 0
 
     def fly(self) -> None:
