@@ -30,6 +30,12 @@ COUNTERS: tuple[str, ...] = (
 )
 
 
+_EARLY_NS = 150_000_000
+"""A controller is asked for its triggers every 20 ms; a block that was lost on the line comes some 100 ms later."""
+_EARLY_APART_NS = 5_000_000
+"""A frame that came before the word of its trigger must fit it in time as well as that."""
+
+
 @dataclass(frozen=True)
 class Loss:
     """Triggers whose frames are not to be had."""
@@ -57,6 +63,8 @@ class Intake:
 
     shooting: Shooting
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
+    _early: list[tuple[CameraFrame, int]] = field(default_factory=list)
+    """Frames that came before the word of any trigger, and until when they wait for it."""
     _just_proven: bool = False
     """Frames were sent on their way by the last tick: the window may not know them yet."""
     _deaf: bool = False
@@ -79,11 +87,32 @@ class Intake:
         """Something came from the camera."""
         self.counters["check_frames" if check else "received"] += 1
 
-    def pair(self, event: CameraFrame) -> Arrival:
+    def is_early(self, event: CameraFrame, now_ns: int) -> bool:
+        """Keep a frame that may have overtaken the word of its trigger, until that comes: a controller is asked for it.
+
+        Only where the camera's own clock will tell whether it is that trigger's.
+        """
+        shooting = self.shooting
+        if event.exposure_start_ns or not event.camera_ns or shooting.segment_done or shooting.ledger.pending:
+            return False
+        self._early.append((event, now_ns + _EARLY_NS))
+        return True
+
+    def early(self, now_ns: int) -> list[CameraFrame]:
+        """Frames that waited for the trigger that was just booked; none that waited too long."""
+        found = [event for event, until_ns in self._early if now_ns < until_ns]
+        self.counters["extra"] += len(self._early) - len(found)
+        self._early.clear()
+        return found
+
+    def pair(self, event: CameraFrame, *, was_early: bool = False) -> Arrival:
         """Whose frame this is, and which triggers will not get theirs any more."""
         if self._deaf:
             return Arrival()
-        pairing = self.shooting.ledger.frame(event.camera_frame_id, event.exposure_start_ns, event.camera_ns)
+        apart_ns = _EARLY_APART_NS if was_early else None
+        pairing = self.shooting.ledger.frame(
+            event.camera_frame_id, event.exposure_start_ns, event.camera_ns, apart_ns=apart_ns
+        )
         losses = (Loss(pairing.lost, "F16", "its frame did not come"),) if pairing.lost else ()
         if pairing.shot is None:
             self.counters["extra"] += 1

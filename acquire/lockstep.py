@@ -111,14 +111,23 @@ class Ledger:
             )
         )
 
-    def frame(self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int = 0) -> Pairing:
+    def frame(
+        self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int = 0, *, apart_ns: int | None = None
+    ) -> Pairing:
         """A frame arrived. Ids and times decide; one that is before its trigger, or repeated, belongs to nobody.
 
         Args:
             camera_frame_id: the camera's counter.
             exposure_start_ns: by the host's clock; 0 unknown.
             camera_ns: by the camera's own clock; 0 unknown.
+            apart_ns: a closer bound than :attr:`Spacing.apart_ns` for this frame; None: there is none.
         """
+        if apart_ns is not None:
+            usual, self.spacing = self.spacing, replace(self.spacing, apart_ns=min(apart_ns, self.spacing.apart_ns))
+            try:
+                return self.frame(camera_frame_id, exposure_start_ns, camera_ns)
+            finally:
+                self.spacing = usual
         self.note_clock(exposure_start_ns)
         if self._is_stale(camera_frame_id, exposure_start_ns):
             self.extra_frames += 1

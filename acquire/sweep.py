@@ -137,13 +137,16 @@ class Sweep:
         if wrong:
             return self._give_up(Outcome.FAILED, wrong, "F15", now_ns)
         self.course.expect_stage(now_ns)
-        return []
+        return [action for frame in self.intake.early(now_ns) for action in self._pair(frame, now_ns, was_early=True)]
 
     def _on_frame(self, event: CameraFrame, now_ns: int) -> list[Action]:
         self.intake.count_frame(check=self.phase in CHECKING)
         if self.phase is Phase.AMBIENT:
             return [*self.intake.take_ambient(event, self.position_steps), *self.opening.ambient_came(now_ns)]
-        arrival = self.intake.pair(event)
+        return [] if self.intake.is_early(event, now_ns) else self._pair(event, now_ns)
+
+    def _pair(self, event: CameraFrame, now_ns: int, *, was_early: bool = False) -> list[Action]:
+        arrival = self.intake.pair(event, was_early=was_early)
         actions: list[Action] = []
         for loss in arrival.losses:
             actions += self._lose(loss, now_ns)

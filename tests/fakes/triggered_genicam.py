@@ -64,6 +64,8 @@ class TriggeredCamera:
         self.incomplete: set[int] = set()
         """Pulses (counted from 0) that it does not see; whose frame is lost on its way; comes without some lines."""
         self.where = lambda: 0.0
+        self.words_late_s = 0.0
+        """So long after its pulse a trigger is told of, by the stage that stands in for the real one."""
         self.pulses = self.opened = self.fetches = 0
         self.produced: dict[int, NDArray[Any]] = {}
         """What it exposed at each pulse that it saw."""

@@ -17,10 +17,11 @@ pytest.importorskip("genicam", reason="GenICam's library has no wheel for this p
 from acquire.cameras import genicam
 from acquire.cameras.genicam import GenicamCamera
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraLostError, CameraSettings
-from acquire.contract.config_model import CameraConfig, RigConfig
+from acquire.contract.config_model import CameraConfig, RigConfig, StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.scan_reader import ScanReader
 from acquire.rig import Rig
+from acquire.stages.protocol import StageEvent, StageInfo, StageSink, Triggered
 from acquire.stages.simulated import SimulatedStage
 from tests.fakes.triggered_genicam import CLOCK_AHEAD_NS, FIRST_ID, LINE, SERIAL, TriggeredCamera
 from tests.system.appliance import Appliance
@@ -156,10 +157,33 @@ def writer() -> Iterator[Appliance]:
         appliance.close()
 
 
+class SlowlyTold(SimulatedStage):
+    """The simulated stage; its word of a trigger may come after the pulse, as one that is asked for does."""
+
+    def __init__(self, config: StageConfig, device: TriggeredCamera) -> None:
+        super().__init__(config, lambda *_shot: None)
+        self._device = device
+
+    def open(self, sink: StageSink) -> StageInfo:
+        def tell(event: StageEvent) -> None:
+            late_s = self._device.words_late_s
+            if not late_s:
+                sink(event)
+            if isinstance(event, Triggered):
+                middle_um = event.position_um
+                place = event.position_steps if middle_um is None else middle_um / self._config.um_per_microstep
+                self._device.pulse(place, event.at_mono_ns)
+            if late_s:
+                time.sleep(late_s)
+                sink(event)
+
+        return super().open(tell)
+
+
 @pytest.fixture
 def rig(device, writer):
     def make(config: RigConfig) -> Rig:
-        stage = SimulatedStage(config.stage, device.pulse)
+        stage = SlowlyTold(config.stage, device)
         device.where = lambda: stage.status().position_steps
         return Rig(stage, GenicamCamera(config.camera))
 
@@ -190,6 +214,15 @@ def test_a_sweep_in_which_frames_are_lost_spoilt_or_not_even_exposed_is_saved_as
     status = ended(rig)
     assert assert_as_the_device_produced(Path(scan["path"]), device) == 100
     assert "SAVED" in status["message"] and status["counters"]["lost"] >= 7
+
+
+@pytest.mark.parametrize("mode", ["step", "fly"])
+def test_frames_that_overtake_the_word_of_their_triggers_are_waited_with(rig, device, mode):
+    device.words_late_s = 0.02
+    device.unseen = {4}
+    scan = rig.ask("scan", name="test", purpose="raw", mode=mode, last_steps=240)
+    status = ended(rig)
+    assert assert_as_the_device_produced(Path(scan["path"]), device) == 21 and "SAVED" in status["message"]
 
 
 def test_on_the_fly_a_camera_without_a_clock_is_fired_one_frame_at_a_time(rig, device):
