@@ -11,6 +11,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -59,8 +60,15 @@ class PairedEdges:
         """Write every pair to this file from now on."""
         with self._lock:
             if self._record is not None:
-                self._record.close()
-            self._record = path.open("w", encoding="utf-8", buffering=1) if path is not None else None
+                with suppress(OSError):
+                    self._record.close()
+                self._record = None
+            if path is None:
+                return
+            try:
+                self._record = path.open("w", encoding="utf-8", buffering=1)
+            except OSError as error:
+                logger.error("no record of the pins: %s", error)  # noqa: TRY400
 
     def edge(self, edge: TriggerEdge, *, delivered: bool) -> None:
         """TRIGGER rose; ``delivered`` is False where a fault let it get lost on its way to the camera."""
@@ -94,10 +102,20 @@ class PairedEdges:
                     "true_cycles": edge.cycles,
                     "delivered": delivered,
                 }
-                self._record.write(json.dumps(pair) + "\n")
+                self._note(self._record, json.dumps(pair) + "\n")
             if delivered:
                 half_way = 0.0 if event.position_um is None else event.position_um / self._um - event.position_steps
                 self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way), event.fired_ns)
+
+    def _note(self, record: IO[str], line: str) -> None:
+        """A disk that is full ends the record, not the line to the controller, in whose thread this runs."""
+        try:
+            record.write(line)
+        except OSError as error:
+            logger.error("no record of the pins any more: %s", error)  # noqa: TRY400
+            self._record = None
+            with suppress(OSError):
+                record.close()
 
 
 class TwinStage(UnoStage):
