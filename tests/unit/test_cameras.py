@@ -12,6 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from acquire.cameras.free_running import FreeRunningCamera
+from acquire.cameras.own_clock import OwnClock
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
 from acquire.cameras.replay import ReplayCamera
 from acquire.cameras.uvc import UvcSource
@@ -241,6 +242,18 @@ def test_a_recording_must_be_named_and_readable(tmp_path):
         ReplayCamera(recording("")).open(lambda _event: None)
     with pytest.raises(ScanFileError, match="no-such"):
         ReplayCamera(recording(tmp_path / "no-such")).open(lambda _event: None)
+
+
+# ---- a camera's own clock ----
+
+
+@pytest.mark.parametrize(("ns_per_count", "believed"), [(1, True), (8, False), (0, False)])
+def test_a_clock_that_counts_otherwise_than_it_says_is_never_believed(ns_per_count, believed):
+    clock, second = OwnClock(), 10**9
+    told = [
+        clock.believed(7 * second + k * second * ns_per_count // 4, 99 * second + k * second // 4) for k in range(5)
+    ]
+    assert told[0] == 0 and [value > 0 for value in told[1:]] == [believed] * 4
 
 
 # ---- GenICam, with the simulated cameras of a real producer ----
