@@ -43,8 +43,8 @@ LEAST_CORNER_SD_PX = 0.005
 """However well the corners fit: what they have in common does not show in their scatter."""
 FLAT_DEG = 3.0
 """A board that is tilted by more does not lie flat on the stage."""
-CHANCE = 3.0
-"""Chi squared per degree of freedom (there are 5 or more with boards) that chance gives once in a hundred times."""
+CHANCE = 1.645
+"""Standard deviations of a normal variable beyond which chance comes once in twenty times."""
 LIES_FLAT = 25.0
 """Chi squared, of three, up to which a board is taken to lie flat."""
 
@@ -71,6 +71,7 @@ class Joint:
     """For each surface; None for those without a pose of their own."""
     contradiction: float
     """Chi squared per degree of freedom of what the sources say of each other; about 1 where all is well."""
+    freedom: int
 
     @property
     def seen(self) -> Seen:
@@ -126,8 +127,9 @@ class Joint:
 
     @property
     def contradicts(self) -> bool:
-        """The sources contradict each other by more than chance explains."""
-        return self.contradiction > CHANCE
+        """The sources contradict each other by more than chance explains (Wilson and Hilferty's quantile)."""
+        spread = 2 / (9 * self.freedom)
+        return bool(self.contradiction > (1 - spread + CHANCE * np.sqrt(spread)) ** 3)
 
 
 def solve_jointly(surfaces: Sequence[Surface], camera: CameraModel, known_camera: F8 | None) -> Joint:
@@ -192,7 +194,7 @@ def _finished(problem: Problem, state: State) -> Joint:
     chi2 = float(rest @ rest) + sum(one.chi2 for one in moved if one is not None)
     freedom = 3 * (len(problem.surfaces) + len(problem.lying)) - len(problem.flats) - 4
     noise = {name: root @ root.T for name, root in roots.items()}
-    return Joint(problem, state, noise, moved, chi2 / max(freedom, 1))
+    return Joint(problem, state, noise, moved, chi2 / max(freedom, 1), max(freedom, 1))
 
 
 def _moved(problem: Problem, state: State, index: int) -> Moved | None:

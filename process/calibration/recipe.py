@@ -21,6 +21,8 @@ from .sweeps import FoldedSweep, fold_sweep
 from .uncertainty import camera_covariance
 
 Progress = Callable[[str], None]
+BEFORE = "before_sweeps"
+"""Key of the camera as its own views have it."""
 REFINED = ("K", "distortion", "R", "T")
 """What sweeps over boards tell of a camera beside its own views."""
 
@@ -89,17 +91,16 @@ def with_plane(document: dict[str, Any], result: PlaneResult, recipe: SweepRecip
     made = {**document, "light_plane": plane, "valid_for": result.validity(days)}
     if camera_covariance(document) is None:
         return made
-    plane["quality"]["camera_before"] = document["camera"]
     quality = {**document["camera"]["quality"], "covariance": result.camera_covariance.tolist()}
     quality["sd"] = dict(zip(NAMES, np.sqrt(np.diag(result.camera_covariance)).tolist(), strict=False))
     own = {key: value for key, value in msgspec.to_builtins(result.camera).items() if key in REFINED}
-    return {**made, "camera": {**document["camera"], **own, "quality": quality}}
+    camera = {**document["camera"], **own, "quality": quality, BEFORE: document["camera"]}
+    return {**made, "camera": camera}
 
 
 def as_before(document: dict[str, Any]) -> dict[str, Any]:
     """With the camera as it was before a light plane's sweeps had their say in it: they must not have it twice."""
-    quality = (document.get("light_plane") or {}).get("quality") or {}
-    before = quality.get("camera_before")
+    before = document.get("camera", {}).get(BEFORE)
     return document if not isinstance(before, dict) else {**document, "camera": before}
 
 
