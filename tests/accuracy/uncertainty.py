@@ -9,7 +9,7 @@ telecentric camera.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -84,6 +84,13 @@ SMALL = Rig(
     sweeps=((0, 0), (10, 0), (-10, 0)), corner_noise_px=0.015, crossing_noise=0.06, a=(57.4, -0.6, 88.0), b=260.0,
     stage_deg=(-1.2, 1.2),
 )  # fmt: skip
+
+
+TILTS: tuple[tuple[tuple[float, float], ...], ...] = (
+    ((0, 0), (10, 0)), ((0, 0), (5, 0), (-5, 0)), ((0, 0), (10, 0), (-10, 0)), ((0, 0), (20, 0), (-20, 0)),
+    ((0, 0), (20, 0), (0, 20)), ((10, 0), (-10, 0)), ((20, 0), (-20, 0), (0, 20), (0, -20)),
+)  # fmt: skip
+"""Sets of sweeps whose worth is of interest: with a flat one, and without."""
 
 
 def see(rig: Rig, tilt: tuple[float, float], generator: np.random.Generator, lift_mm: float = 0.0) -> Sighting:
@@ -210,8 +217,13 @@ def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=60)
-    seeds = range(parser.parse_args().seeds)
-    for name, rig in (("a board that fills a coarse picture", COARSE), ("the paper's small board", SMALL)):
+    parser.add_argument("--tilts", action="store_true", help="what other sweeps over the small board would be worth")
+    options = parser.parse_args()
+    seeds = range(options.seeds)
+    rigs = {"a board that fills a coarse picture": COARSE, "the paper's small board": SMALL}
+    if options.tilts:
+        rigs = {f"small board, tilts {sweeps}": replace(SMALL, sweeps=sweeps) for sweeps in TILTS}
+    for name, rig in rigs.items():
         print(name)
         for what, value in figures(rig, seeds).items():
             print(f"  {what} {value:.4f}")

@@ -47,8 +47,9 @@ def plane(
 ) -> None:
     """Calibrate the light plane from sweeps over the board, flat and tilted.
 
-    SCANS show the board in poses that its own corners tell. A surface that contradicts the others by more than
-    1 um fails; --force writes the calibration all the same."""
+    SCANS show the board: once lying flat, and tilted by 10 to 20 degrees both ways (a small board needs both). Light
+    and corners together tell the poses, and say how well points will be known. A surface that contradicts the others
+    by more than 1 um fails; --force writes the calibration all the same."""
     from process.calibration.documents import read_document, write_document
     from process.calibration.pages import plane_page, write_page
     from process.calibration.recipe import SweepRecipe, make_plane, with_plane
