@@ -39,7 +39,7 @@ from .poses import Pose, find_pose
 from .surfaces import Surface
 
 F8 = NDArray[np.float64]
-LEAST_CORNER_SD_PX = 0.005
+LEAST_CORNER_SD_PX = 0.01
 """However well the corners fit: what they have in common does not show in their scatter."""
 FLAT_DEG = 3.0
 """A board that is tilted by more does not lie flat on the stage."""
