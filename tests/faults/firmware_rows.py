@@ -9,7 +9,7 @@ import json
 import signal
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +103,10 @@ def _emulated(rig: Rig) -> Iterator[tuple[RigClient, Bench]]:
 def home(rig: Rig, client: RigClient) -> None:
     """Find the zero, and wait until it is found."""
     client.request("home")
+    _until_homed(rig, client)
+
+
+def _until_homed(rig: Rig, client: RigClient) -> None:
     rig.until_status(client, lambda s: s.state == "idle" and s.position_trusted, "the stage is homed")
 
 
@@ -249,7 +253,15 @@ def switches(rig: Rig) -> None:
         assert bench.pin("steps") == steps, "it moves after an alarm"
         bench.knob("estop 0" if estop else "limit auto")
         client.request("acknowledge")
-        home(rig, client)
+        rig.until(lambda: _may_home(client), "the switch is heard to be free")
+        _until_homed(rig, client)
+
+
+def _may_home(client: RigClient) -> bool:
+    with suppress(CommandRefusedError):
+        client.request("home")
+        return True
+    return False
 
 
 def daemon_killed_over_the_controller(rig: Rig) -> None:

@@ -39,11 +39,11 @@ class Bench:
         self.config = StageConfig(kind="uno", port=self.emulator.port, **settings)  # type: ignore[arg-type]
         self.events: queue.Queue[StageEvent] = queue.Queue()
         self.seen: list[StageEvent] = []
-        self.edges: list[TriggerEdge] = []
+        self._edges: list[TriggerEdge] = []
         self.stage = UnoStage(self.config, timing=LinkTiming(silence_s=5.0))
         try:
             self.info = self.stage.open(self.events.put)
-            self.emulator.watch(self.edges.append)
+            self.emulator.watch(self._edges.append)
             if homed:
                 self.stage.home()
                 self.wait(Moved)
@@ -58,6 +58,13 @@ class Bench:
 
     def pins(self) -> PinState:
         return self.emulator.state()
+
+    @property
+    def edges(self) -> list[TriggerEdge]:
+        """Triggers that reached the camera: all that the pins have seen by now, however far behind their thread is."""
+        delivered = self.pins().delivered
+        self.until(lambda: len(self._edges) >= delivered)
+        return self._edges
 
     def wait(self, kind: type, *, timeout_s: float = WAIT_S, alive: bool = True) -> StageEvent:
         """The next event of this kind; an alarm that nobody waits for fails."""
