@@ -99,8 +99,13 @@ class Intake:
         return True
 
     def early(self, now_ns: int) -> list[CameraFrame]:
-        """Frames that waited for the trigger that was just booked; none that waited too long."""
+        """Frames that waited for the trigger that was just booked; none that waited too long.
+
+        Of several none is taken while nobody knows how the clocks differ: which one it made would be a guess.
+        """
         found = [event for event, until_ns in self._early if now_ns < until_ns]
+        if len(found) > 1 and not self.shooting.ledger.can_tell:
+            found = []
         self.counters["extra"] += len(self._early) - len(found)
         self._early.clear()
         return found

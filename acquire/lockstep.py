@@ -51,6 +51,15 @@ class Spacing:
     """Camera's clock minus controller's clock may differ so much between one pair and the next."""
 
 
+@dataclass(frozen=True)
+class _Times:
+    """What a frame says of its time, and how far that may be from its trigger's."""
+
+    exposure_start_ns: int
+    camera_ns: int
+    apart_ns: int
+
+
 @dataclass
 class Ledger:
     """Pairs triggers with frames between one arming of the camera and the next."""
@@ -122,19 +131,15 @@ class Ledger:
             camera_ns: by the camera's own clock; 0 unknown.
             apart_ns: a closer bound than :attr:`Spacing.apart_ns` for this frame; None: there is none.
         """
-        if apart_ns is not None:
-            usual, self.spacing = self.spacing, replace(self.spacing, apart_ns=min(apart_ns, self.spacing.apart_ns))
-            try:
-                return self.frame(camera_frame_id, exposure_start_ns, camera_ns)
-            finally:
-                self.spacing = usual
+        apart_ns = self.spacing.apart_ns if apart_ns is None else min(apart_ns, self.spacing.apart_ns)
         self.note_clock(exposure_start_ns)
         if self._is_stale(camera_frame_id, exposure_start_ns):
             self.extra_frames += 1
             return Pairing(None)
-        lost = self._skip_to(camera_frame_id) + self._skip_unseen(camera_frame_id, exposure_start_ns, camera_ns)
+        times = _Times(exposure_start_ns, camera_ns, apart_ns)
+        lost = self._skip_to(camera_frame_id) + self._skip_unseen(camera_frame_id, times)
         self._last_camera_id = camera_frame_id
-        if not self.pending or not self._fits(self.pending[0], camera_frame_id, exposure_start_ns, camera_ns):
+        if not self.pending or not self._fits(self.pending[0], camera_frame_id, times):
             self.extra_frames += 1
             self._expect_anew()
             return Pairing(None, lost)
@@ -172,31 +177,31 @@ class Ledger:
             lost.append(self.pending.popleft())
         return tuple(lost)
 
-    def _skip_unseen(self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int) -> tuple[Shot, ...]:
+    def _skip_unseen(self, camera_frame_id: int, times: _Times) -> tuple[Shot, ...]:
         """Triggers that the camera never saw: the frame is too late for them, and no id was used up."""
         lost = []
-        while self.pending and self._is_too_late_for(self.pending[0], exposure_start_ns, camera_ns):
+        while self.pending and self._is_too_late_for(self.pending[0], times):
             lost.append(self.pending.popleft())
         if lost:
             self._expect(camera_frame_id)
         return tuple(lost)
 
-    def _is_too_late_for(self, shot: Shot, exposure_start_ns: int, camera_ns: int) -> bool:
-        late_ns = self.spacing.late_ns
-        by_host = bool(late_ns and exposure_start_ns) and exposure_start_ns - shot.at_mono_ns >= late_ns
-        return by_host or self._drift_ns(shot, camera_ns) > 0
+    def _is_too_late_for(self, shot: Shot, times: _Times) -> bool:
+        late_ns, start_ns = self.spacing.late_ns, times.exposure_start_ns
+        by_host = bool(late_ns and start_ns) and start_ns - shot.at_mono_ns >= late_ns
+        return by_host or self._drift_ns(shot, times) > 0
 
-    def _drift_ns(self, shot: Shot, camera_ns: int) -> int:
+    def _drift_ns(self, shot: Shot, times: _Times) -> int:
         """How much the two clocks say otherwise than at the last pair; 0: they agree, or nobody knows."""
-        if not (self.spacing.apart_ns and camera_ns and shot.fired_ns) or self._offset_ns is None:
+        if not (times.apart_ns and times.camera_ns and shot.fired_ns) or self._offset_ns is None:
             return 0
-        drift_ns = camera_ns - shot.fired_ns - self._offset_ns
-        return drift_ns if abs(drift_ns) > self.spacing.apart_ns else 0
+        drift_ns = times.camera_ns - shot.fired_ns - self._offset_ns
+        return drift_ns if abs(drift_ns) > times.apart_ns else 0
 
-    def _fits(self, shot: Shot, camera_frame_id: int, exposure_start_ns: int, camera_ns: int) -> bool:
-        right_id = shot.expected_camera_id in (None, camera_frame_id)
-        after = exposure_start_ns == 0 or exposure_start_ns >= shot.at_mono_ns - self.spacing.early_ns
-        return right_id and after and self._drift_ns(shot, camera_ns) == 0
+    def _fits(self, shot: Shot, camera_frame_id: int, times: _Times) -> bool:
+        right_id, start_ns = shot.expected_camera_id in (None, camera_frame_id), times.exposure_start_ns
+        after = start_ns == 0 or start_ns >= shot.at_mono_ns - self.spacing.early_ns
+        return right_id and after and self._drift_ns(shot, times) == 0
 
     def _expect_anew(self) -> None:
         """The ids that the remaining triggers will have, now that the camera's counter is known."""
