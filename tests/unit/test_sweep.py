@@ -18,7 +18,7 @@ from acquire.phases import Phase
 from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
 
-from .sweep_bench import MS, bench, done, settings
+from .sweep_bench import MS, Bench, bench, done, settings
 
 
 def test_an_undisturbed_sweep_takes_each_frame_once_at_its_place():
@@ -121,13 +121,19 @@ def test_on_the_fly_several_frames_are_under_way_only_where_time_can_tell_them_a
     assert len(on.triggers) == fired
 
 
-def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
-    on = bench(10, slots=4)
+def without_its_camera(**changes: object) -> Bench:
+    """A sweep whose first four frames wait for the writer when the camera goes away, and are then committed."""
+    on = bench(10, slots=4, **changes)
     on.acking = False
     on.start()
     on.feed(CameraGone("pulled"))
     on.acking = True
     on.ack_all()
+    return on
+
+
+def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
+    on = without_its_camera()
     on.tick(1)
     assert (on.sweep.state, on.sweep.hold_reason) == (State.HOLDING, HoldReason.CAMERA_AWAY)
     assert [fault.code for fault in on.faults] == ["F18"] and "pulled" in on.faults[0].happened
@@ -138,12 +144,7 @@ def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
 
 
 def test_a_camera_that_stays_away_leaves_the_sweep_interrupted_so_that_it_can_be_resumed():
-    on = bench(10, slots=4, camera_away_ns=500 * MS)
-    on.acking = False
-    on.start()
-    on.feed(CameraGone("pulled"))
-    on.acking = True
-    on.ack_all()
+    on = without_its_camera(camera_away_ns=500 * MS)
     on.tick(499)
     assert not done(on)
     on.tick(2)
@@ -153,11 +154,7 @@ def test_a_camera_that_stays_away_leaves_the_sweep_interrupted_so_that_it_can_be
 
 
 def test_a_sweep_that_is_stopped_while_its_camera_is_away_ends_at_once():
-    on = bench(10, slots=4)
-    on.acking = False
-    on.start()
-    on.feed(CameraGone("pulled"))
-    on.ack_all()
+    on = without_its_camera()
     on.feed(StopRequested())
     on.tick(1)
     assert done(on) and on.sweep.outcome is Outcome.STOPPED
