@@ -129,7 +129,7 @@ class Course:
         return self.shooting.begin(*run, now_ns)
 
     def _after_run(self, now_ns: int) -> list[Action]:
-        return [] if self.paused or self.away else self._next_run(now_ns)
+        return [] if self.paused else self._next_run(now_ns)
 
     def _after_overlap(self, now_ns: int) -> list[Action]:
         complaint = self.checks.complaint
@@ -143,7 +143,7 @@ class Course:
         return [RaiseFault(told), *self.end_early(Outcome.INTERRUPTED, f"overlap check: {complaint}", now_ns)]
 
     def _repeat_first(self, now_ns: int) -> list[Action]:
-        if self._skip_checks or not self.settings.repeat_first or not self.checks.has_first:
+        if self._skip_checks or self.away or not self.settings.repeat_first or not self.checks.has_first:
             return self._check_limit(now_ns)
         self._move(Phase.REPEAT, now_ns)
         return self.shooting.begin(0, 0, now_ns, gated=False)

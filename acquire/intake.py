@@ -6,6 +6,7 @@ taken, so that no later segment includes it. Whatever else comes is counted by n
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from acquire.cameras.protocol import CameraFrame
@@ -64,7 +65,7 @@ class Intake:
     shooting: Shooting
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     _early: list[tuple[CameraFrame, int]] = field(default_factory=list)
-    """Frames that came before the word of any trigger, and until when they wait for it."""
+    """Frames that came before the word of any trigger, and when they came."""
     _just_proven: bool = False
     """Frames were sent on their way by the last tick: the window may not know them yet."""
     _deaf: bool = False
@@ -95,20 +96,21 @@ class Intake:
         shooting = self.shooting
         if event.exposure_start_ns or not event.camera_ns or shooting.segment_done or shooting.ledger.pending:
             return False
-        self._early.append((event, now_ns + _EARLY_NS))
+        self._early.append((event, now_ns))
         return True
 
-    def early(self, now_ns: int) -> list[CameraFrame]:
-        """Frames that waited for the trigger that was just booked; none that waited too long.
+    def early(self, now_ns: int) -> Iterator[CameraFrame]:
+        """Frames that waited, as long as a trigger waits for one; the others go on waiting for theirs."""
+        self._expire_early(now_ns)
+        while self._early and self.shooting.ledger.pending:
+            yield self._early.pop(0)[0]
 
-        Of several none is taken while nobody knows how the clocks differ: which one it made would be a guess.
-        """
-        found = [event for event, until_ns in self._early if now_ns < until_ns]
-        if len(found) > 1 and not self.shooting.ledger.can_tell:
-            found = []
-        self.counters["extra"] += len(self._early) - len(found)
-        self._early.clear()
-        return found
+    def _expire_early(self, now_ns: int) -> None:
+        """Frames that waited too long, or from before the camera was armed, are nobody's."""
+        since_ns = max(now_ns - _EARLY_NS, self.shooting.ledger.armed_at_ns)
+        waiting = [(event, came_ns) for event, came_ns in self._early if came_ns > since_ns]
+        self.counters["extra"] += len(self._early) - len(waiting)
+        self._early = waiting
 
     def pair(self, event: CameraFrame, *, was_early: bool = False) -> Arrival:
         """Whose frame this is, and which triggers will not get theirs any more."""
@@ -119,6 +121,9 @@ class Intake:
             event.camera_frame_id, event.exposure_start_ns, event.camera_ns, apart_ns=apart_ns
         )
         losses = (Loss(pairing.lost, "F16", "its frame did not come"),) if pairing.lost else ()
+        if pairing.unproven:
+            self.counters["doubtful"] += 1
+            return Arrival(None, losses)
         if pairing.shot is None:
             self.counters["extra"] += 1
             return Arrival(None, losses, extra=True)
@@ -152,11 +157,14 @@ class Intake:
 
     def overdue(self, now_ns: int) -> Loss | None:
         """Triggers whose frames are waited for no longer."""
+        self._expire_early(now_ns)
         late = self.shooting.ledger.overdue(now_ns)
         return Loss(late, "F16", "its frame did not come in time") if late else None
 
     def camera_gone(self, detail: str) -> Loss:
         """All triggers whose frames the camera took with it."""
+        self.counters["extra"] += len(self._early)
+        self._early.clear()
         return Loss(self.shooting.ledger.drop_all(), "F18", detail)
 
     def count_lost(self, shot: Shot) -> int:

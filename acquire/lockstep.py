@@ -37,6 +37,8 @@ class Pairing:
     """The trigger that it belongs to; None: nobody triggered it, or it came too late."""
     lost: tuple[Shot, ...] = ()
     """Triggers whose frames will not come any more."""
+    unproven: bool = False
+    """The frame may have been that of the last of these."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,8 @@ class Ledger:
     _on_host_clock: bool = False
     _offset_ns: int | None = None
     """Camera's clock minus controller's clock at the last pair since arming."""
+    _likely_offset_ns: int | None = None
+    """The same as the last frame had it that was, or may have been, a trigger's; arming does not forget it."""
 
     def arm(self, now_ns: int, spacing: Spacing | None = None) -> None:
         """The camera was armed anew: its counter and its clock may stand anywhere, older exposures are stale."""
@@ -129,8 +133,11 @@ class Ledger:
             camera_frame_id: the camera's counter.
             exposure_start_ns: by the host's clock; 0 unknown.
             camera_ns: by the camera's own clock; 0 unknown.
-            apart_ns: a closer bound than :attr:`Spacing.apart_ns` for this frame; None: there is none.
+            apart_ns: a closer bound than :attr:`Spacing.apart_ns` for a frame that came before the word of its trigger;
+                None: it came after. Such a frame is taken only if the clocks differ as they did before: the first one
+                proves nothing, its trigger is lost, and fired again.
         """
+        early = apart_ns is not None
         apart_ns = self.spacing.apart_ns if apart_ns is None else min(apart_ns, self.spacing.apart_ns)
         self.note_clock(exposure_start_ns)
         if self._is_stale(camera_frame_id, exposure_start_ns):
@@ -139,13 +146,17 @@ class Ledger:
         times = _Times(exposure_start_ns, camera_ns, apart_ns)
         lost = self._skip_to(camera_frame_id) + self._skip_unseen(camera_frame_id, times)
         self._last_camera_id = camera_frame_id
+        if self.pending and early and not self._is_proven(times):
+            lost += (self.pending.popleft(),)
+            self._expect_anew()
+            return Pairing(None, lost, unproven=True)
         if not self.pending or not self._fits(self.pending[0], camera_frame_id, times):
             self.extra_frames += 1
             self._expect_anew()
             return Pairing(None, lost)
         shot = self.pending.popleft()
         if camera_ns and shot.fired_ns:
-            self._offset_ns = camera_ns - shot.fired_ns
+            self._offset_ns = self._likely_offset_ns = camera_ns - shot.fired_ns
         self._expect_anew()
         return Pairing(shot, lost)
 
@@ -197,6 +208,15 @@ class Ledger:
             return 0
         drift_ns = times.camera_ns - shot.fired_ns - self._offset_ns
         return drift_ns if abs(drift_ns) > times.apart_ns else 0
+
+    def _is_proven(self, times: _Times) -> bool:
+        """The clocks differ as they did at the frame before, be that from before arming: no chance makes it so."""
+        if not (self.pending and times.camera_ns and self.pending[0].fired_ns):
+            return False
+        if self._offset_ns is not None:
+            return True
+        before, self._likely_offset_ns = self._likely_offset_ns, times.camera_ns - self.pending[0].fired_ns
+        return before is not None and abs(self._likely_offset_ns - before) <= times.apart_ns
 
     def _fits(self, shot: Shot, camera_frame_id: int, times: _Times) -> bool:
         right_id, start_ns = shot.expected_camera_id in (None, camera_frame_id), times.exposure_start_ns

@@ -199,9 +199,9 @@ class Sweep:
             said: list[Action] = [Say("the camera is back: frames that were lost are taken again")] if self.away else []
             self.course.away = False
             return said
+        told: list[Action] = [] if self.away else [RaiseFault(self.shooting.fault("F18", detail=event.detail))]
         lost = self._lose(self.intake.camera_gone(event.detail), now_ns)
-        fault = RaiseFault(self.shooting.fault("F18", detail=event.detail))
-        return [fault, *lost, *self.course.camera_gone(now_ns)]
+        return [*told, *lost, *self.course.camera_gone(now_ns)]
 
     # ---- the stage's other words ----
 

@@ -54,7 +54,7 @@ class Moved:
     """By how much the solution moved a board from where its own corners put it."""
 
     um: float
-    """RMS over the board along the light plane's normal."""
+    """RMS over three places on the board, along the light plane's normal."""
     chi2: float
     """The same in variances of its own pose, of six; chance seldom gives more than 25."""
 

@@ -297,7 +297,7 @@ def frames_lost(rig: Rig) -> None:
     scan, status = _scripted(rig, ("lose", "skip"))
     with ScanReader(Path(scan["path"])) as reader:
         assert int((reader.status() == 2).sum()) == status.retaken
-    assert status.counters["lost"] >= 2 and (status.retaken == 2 or rig.flies)
+    assert status.counters["lost"] >= 2 and (status.retaken >= 1 if rig.flies else status.retaken == 2)
 
 
 def _seen_by_nobody_on_the_fly(rig: Rig) -> None:
@@ -322,7 +322,7 @@ def frames_extra(rig: Rig) -> None:
 def camera_restarts(rig: Rig) -> None:
     """F18: ids start again; the frame is re-taken."""
     scan, status = _scripted(rig, ("restart",))
-    assert status.retaken == 1 or rig.flies
+    assert status.retaken >= 1 if rig.flies else status.retaken == 1
     assert "re-taken" in rig.seen[scan["scan_uid"]].faults["F18"]
 
 
@@ -330,7 +330,7 @@ def frames_of_another_shape(rig: Rig) -> None:
     """F19: refused and re-taken or sent again; a camera that does nothing else is a fault with a name."""
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "bits flip"
     first, status = _scripted(rig, ("shape", "type"))
-    assert status.counters["damaged"] == 2 and (status.retaken == 2 or rig.flies)
+    assert status.counters["damaged"] == 2 and (status.retaken >= 1 if rig.flies else status.retaken == 2)
     assert "on its way to the writer" in rig.seen[first["scan_uid"]].faults["F19"]
     rig.kill("daemon")
     exposure = 5 + int(rig.at * (COUNT - 25))

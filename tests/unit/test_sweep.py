@@ -143,6 +143,21 @@ def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
     assert [image.frame_index for image in on.published if image.role == "sweep"] == list(range(10))
 
 
+def test_a_camera_that_goes_away_after_the_last_frame_costs_the_sweep_nothing(monkeypatch):
+    on = bench(3)
+    deliver = on._deliver
+
+    def then_gone(frame_index: int) -> None:
+        deliver(frame_index)
+        if frame_index == 2:
+            on._events.append(CameraGone("pulled"))
+
+    monkeypatch.setattr(on, "_deliver", then_gone)
+    on.start()
+    on.tick(1)
+    assert done(on) and on.sweep.outcome is Outcome.COMPLETE
+
+
 def test_a_camera_that_stays_away_leaves_the_sweep_interrupted_so_that_it_can_be_resumed():
     on = without_its_camera(camera_away_ns=500 * MS)
     on.tick(499)
