@@ -88,9 +88,10 @@ class GenicamDevice:
 
         Raises:
             ConfigError: no producer, no such camera, no trigger input, or a format that scans cannot store.
+            CameraLostError: the camera or its producer does not answer.
         """
         producers = _producers(self._config.producer)
-        with self._lock:
+        with self._lock, _told_as_lost():
             self._clock = OwnClock()
             self._harvester = harvester = Harvester()
             try:
@@ -172,9 +173,8 @@ class GenicamDevice:
         try:
             if self._acquirer is None:
                 raise CameraLostError("the camera is away")
-            yield
-        except _ERRORS as error:
-            raise CameraLostError(f"the camera does not answer: {in_words(error)}") from error
+            with _told_as_lost():
+                yield
         finally:
             self._lock.release()
 
@@ -275,10 +275,17 @@ class GenicamDevice:
     # ---- pictures ----
 
     def fetch(self, timeout_s: float) -> CameraFrame | None:
-        """The next complete picture with its id, or None in ``timeout_s``; harvesters passes over incomplete ones."""
-        buffer = self._acquirer.try_fetch(timeout=timeout_s)
-        if buffer is None:
-            return None
+        """The next complete picture with its id, or None in ``timeout_s``; harvesters passes over incomplete ones.
+
+        Raises:
+            CameraLostError: the camera or its producer does not answer.
+        """
+        # without the lock: a command need not wait for a picture
+        with _told_as_lost():
+            buffer = self._acquirer.try_fetch(timeout=timeout_s)
+            return None if buffer is None else self._taken(buffer)
+
+    def _taken(self, buffer: Any) -> CameraFrame:
         try:
             pixels = self._pixels(buffer.payload.components[0])
             # when it was exposed is known by the camera's clock alone
@@ -379,7 +386,7 @@ class GenicamCamera:
                     heard_s = time.monotonic()
                 if self._failure is not None:
                     raise self._failure
-            except (SweepscopeError, *_ERRORS) as error:
+            except SweepscopeError as error:
                 self._come_back(error)
                 heard_s = time.monotonic()
 
@@ -400,8 +407,17 @@ class GenicamCamera:
             if self._settings is not None:
                 self._device.configure(self._settings)
 
-        if self._reading.until_back(again, (SweepscopeError, *_ERRORS)):
+        if self._reading.until_back(again, (SweepscopeError,)):
             self._sink(CameraGone("", back=True))
+
+
+@contextmanager
+def _told_as_lost() -> Iterator[None]:
+    """What the makers' libraries raise is told as :class:`CameraLostError`."""
+    try:
+        yield
+    except _ERRORS as error:
+        raise CameraLostError(f"the camera does not answer: {in_words(error)}") from error
 
 
 def in_words(error: Exception) -> str:

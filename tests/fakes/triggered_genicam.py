@@ -1,7 +1,7 @@
 """A GenICam camera with a trigger input, as far as the driver sees one: in the place of harvesters' ``Harvester``.
 
-It exposes at each pulse of its line while it listens to it, counts frames, has a clock of its own, and can lose a
-frame, spoil one, miss a pulse, vanish with or without a word, and come back with its counters at their start.
+It exposes at each pulse of its line while it listens to it, else freely, counts frames, has a clock of its own, and can
+lose a frame, spoil one, miss a pulse, vanish with or without a word, and come back with its counters at their start.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ SERIAL = "T-1"
 FIRST_ID = 900
 CLOCK_AHEAD_NS = 5_000_000_000
 GONE = "no device"
+_FREE_S = 0.002
 
 Picture = Callable[[float], NDArray[Any]]
 
@@ -59,6 +60,8 @@ class TriggeredCamera:
         self.picture, self._has_clock = picture, has_clock
         self.plugged, self.silent = True, False
         """``silent``: the producer tells nothing of a cable that was pulled."""
+        self.still_listed = False
+        """The producer lists it while it is away, and fails when it is opened."""
         self.unseen: set[int] = set()
         self.lost: set[int] = set()
         self.incomplete: set[int] = set()
@@ -66,7 +69,7 @@ class TriggeredCamera:
         self.where = lambda: 0.0
         self.words_late_s = 0.0
         """So long after its pulse a trigger is told of, by the stage that stands in for the real one."""
-        self.pulses = self.opened = self.fetches = 0
+        self.pulses = self.looked = self.opened = self.fetches = 0
         self.produced: dict[int, NDArray[Any]] = {}
         """What it exposed at each pulse that it saw."""
         self._lock = threading.Lock()
@@ -92,6 +95,12 @@ class TriggeredCamera:
         waits = self.nodes["TriggerMode"]._value == "On" and self.nodes["TriggerSource"]._value == LINE
         if self.plugged and waits and number not in self.unseen:
             self.produced[number] = self._expose(position_steps, at_ns, number)
+
+    def run(self) -> None:
+        """One more picture, if it runs freely."""
+        if self.plugged and self.streaming and self.nodes["TriggerMode"]._value == "Off":
+            time.sleep(_FREE_S)
+            self._expose(self.where(), time.clock_gettime_ns(time.CLOCK_MONOTONIC), -1)
 
     def _software(self) -> None:
         if self.nodes["TriggerSource"]._value == "Software":
@@ -149,11 +158,14 @@ class Harvester:
         """A producer."""
 
     def update(self) -> None:
-        if self._camera.plugged:
+        self._camera.looked += 1
+        if self._camera.plugged or self._camera.still_listed:
             self.device_info_list = [SimpleNamespace(serial_number=SERIAL)]
 
     def create(self, index: int) -> Harvester:
         assert self.device_info_list[index].serial_number == SERIAL
+        if not self._camera.plugged:
+            raise IoException(GONE)
         return self
 
     def start(self) -> None:
@@ -173,6 +185,7 @@ class Harvester:
         self._camera.fetches += 1
         if not self._camera.plugged and not self._camera.silent:
             raise IoException(GONE)
+        self._camera.run()
         try:
             frame_id, at_ns, pixels, whole = self._camera.filled.get(timeout=timeout)
         except queue.Empty:

@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 pytest.importorskip("genicam", reason="GenICam's library has no wheel for this processor")
 
 from acquire.cameras import genicam
-from acquire.cameras.genicam import GenicamCamera
+from acquire.cameras.free_running import FreeRunningCamera
+from acquire.cameras.genicam import GenicamCamera, GenicamDevice
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraLostError, CameraSettings
 from acquire.contract.config_model import CameraConfig, RigConfig, StageConfig
 from acquire.contract.errors import CommandRefusedError
@@ -132,6 +134,30 @@ def test_a_cable_that_is_pulled_is_told_in_words_and_the_camera_is_set_up_as_it_
     assert device.nodes["ExposureTime"].value == 7000.0 and device.opened == 2
     device.pulse(9, S)
     assert np.array_equal(frames(events, 1)[0].pixels, picture(9))
+
+
+@pytest.mark.parametrize(("silent", "listed"), [(False, False), (False, True), (True, False)])
+def test_a_camera_that_runs_freely_is_told_as_gone_looked_for_and_serves_shots_when_it_is_back(
+    device, monkeypatch, silent, listed
+):
+    monkeypatch.setattr(genicam, "_GRAB_S", 0.3)
+    camera, events = FreeRunningCamera(GenicamDevice(replace(CONFIG, trigger="host"))), queue.Queue()
+    camera.open(events.put)
+    try:
+        camera.configure(CameraSettings(7.0, 3.0, 0.0))
+        device.still_listed = listed
+        device.vanish(silent=silent)
+        gone = events.get(timeout=10)
+        assert isinstance(gone, CameraGone) and not gone.back and gone.detail
+        looked = device.looked
+        RigInProcess.until_true(lambda: device.looked > looked + 1, "it is looked for more than once")
+        device.come_back()
+        assert events.get(timeout=10) == CameraGone("", back=True)
+        camera.snap()
+        assert np.array_equal(frames(events, 1)[0].pixels, picture(0))
+        assert device.nodes["ExposureTime"].value == 7000.0
+    finally:
+        camera.close()
 
 
 # ---- whole sweeps ----
