@@ -397,7 +397,7 @@ class GenicamCamera:
 
     def _come_back(self, error: Exception) -> None:
         """Say that the camera is gone, look for it, set it up as it was, and say that it is back."""
-        self._failure, self._snaps = None, 0
+        self._snaps = 0
         logger.error("the camera is gone: %s", in_words(error))
         self._sink(CameraGone(in_words(error)))
 
@@ -408,6 +408,8 @@ class GenicamCamera:
                 self._device.configure(self._settings)
 
         if self._reading.until_back(again, (SweepscopeError,)):
+            # commands were refused meanwhile
+            self._failure = None
             self._sink(CameraGone("", back=True))
 
 

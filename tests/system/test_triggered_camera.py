@@ -132,6 +132,9 @@ def test_a_cable_that_is_pulled_is_told_in_words_and_the_camera_is_set_up_as_it_
     device.come_back()
     assert events.get(timeout=10) == CameraGone("", back=True)
     assert device.nodes["ExposureTime"].value == 7000.0 and device.opened == 2
+    fetches = device.fetches
+    RigInProcess.until_true(lambda: device.fetches > fetches + 2, "it is read again")
+    assert events.empty(), "a command that was refused while it was away tells of it once more"
     device.pulse(9, S)
     assert np.array_equal(frames(events, 1)[0].pixels, picture(9))
 
