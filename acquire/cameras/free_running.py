@@ -78,8 +78,8 @@ class FreeRunningCamera:
         """Connect the source and read on."""
         self._sink = sink
         frame_format = self._source.open()
-        self._reading.begin()
         limits = self._source.limits()
+        self._reading.begin()
         return CameraInfo(kind=self._source.kind, format=frame_format, counts_frames=False, limits=limits)
 
     def close(self) -> None:
@@ -127,6 +127,9 @@ class FreeRunningCamera:
                 pixels = self._source.grab()
             except SweepscopeError as error:
                 logger.error("the camera delivers nothing any more: %s", error)
+                with self._lock:
+                    # what they asked for is asked for anew
+                    self._waiting.clear()
                 self._sink(CameraGone(str(error)))
                 if self._reading.until_back(self._open_again, (SweepscopeError,)):
                     began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)

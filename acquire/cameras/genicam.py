@@ -340,8 +340,9 @@ class GenicamCamera:
         """Connect, wait for triggers."""
         self._sink = sink
         frame_format = self._device.open(self._line)
+        limits = self._device.limits()
         self._reading.begin()
-        return CameraInfo(kind="genicam", format=frame_format, limits=self._device.limits())
+        return CameraInfo(kind="genicam", format=frame_format, limits=limits)
 
     def close(self) -> None:
         """Disconnect; idempotent."""

@@ -135,6 +135,21 @@ def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_
     assert isinstance(events.get(timeout=5), CameraFrame)
 
 
+def test_a_shot_that_waited_when_the_source_went_away_gets_no_picture_of_later(free, monkeypatch):
+    monkeypatch.setattr("acquire.cameras.reading.AGAIN_S", 0.01)
+    camera, source, events, _ = free
+    camera.configure(CameraSettings(0.01, 0.0, 0.0))
+    camera.arm()
+    camera.fire(now_ns(), 0)
+    source.pictures.put(None)
+    assert not events.get(timeout=5).back
+    assert events.get(timeout=5) == CameraGone("", back=True)
+    through(source, 1, 2, 3)
+    camera.fire(now_ns(), 0)
+    through(source, 4, 5, 6)
+    assert events.get(timeout=5).pixels[0, 0] >= 4
+
+
 # ---- webcams ----
 
 
