@@ -71,8 +71,10 @@ class RigClient:
             CommandRefusedError: the daemon says no, and why.
         """
         command = new_request(name, args, self.client)
+        sent_mono_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
         for _attempt in range(2):
-            self._sender.send(command)
+            # the second sending is as old as the first: a daemon that was restarted must be able to find it too late
+            self._sender.send(command, sent_mono_ns=sent_mono_ns)
             reply = self._reply_to(command.request_id, self._timeout_s / 2)
             if reply is not None:
                 if not reply.ok:

@@ -22,6 +22,7 @@ AWAY = "not sent: the rig daemon is not connected"
 @dataclass
 class _Pending:
     command: Command
+    sent_mono_ns: int
     resend_at_s: float
     give_up_at_s: float
     resent: bool = False
@@ -43,17 +44,19 @@ class Errands:
     def send(self, sender: Sender, *, connected: bool) -> None:
         """Send what was put in."""
         for command in self._queued():
-            if (not connected and command.name != "stop") or not sender.send(command):
+            sent_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+            if (not connected and command.name != "stop") or not sender.send(command, sent_mono_ns=sent_ns):
                 self._fail(command, AWAY)
                 continue
             now_s = time.monotonic()
             give_up_at_s = now_s + self._timeout_s
-            self._pending[command.request_id] = _Pending(command, now_s + self._timeout_s / 2, give_up_at_s)
+            self._pending[command.request_id] = _Pending(command, sent_ns, now_s + self._timeout_s / 2, give_up_at_s)
 
     def refuse(self) -> None:
-        """There is nobody to send to."""
+        """There is nobody to send to; what was sent before is given up when its time has come."""
         for command in self._queued():
             self._fail(command, AWAY)
+        self._give_up(time.monotonic())
 
     def answered(self, reply: Reply) -> None:
         """A reply came; one that nobody waits for any more is passed over."""
@@ -65,16 +68,24 @@ class Errands:
         self._tell(CommandAnswered(name, reply.ok, detail, reply.sent_mono_ns, reply.request_id, dict(reply.result)))
 
     def chase(self, sender: Sender) -> None:
-        """Send again what has no answer yet (the daemon does nothing twice), and give up in the end."""
+        """Send again what has no answer yet (the daemon does nothing twice), and give up in the end.
+
+        It goes with the time of its first sending: a daemon that was restarted remembers no request, only its age
+        tells that it is too late.
+        """
         now_s = time.monotonic()
+        self._give_up(now_s)
+        for pending in self._pending.values():
+            if now_s >= pending.resend_at_s and not pending.resent:
+                pending.resent = True
+                sender.send(pending.command, sent_mono_ns=pending.sent_mono_ns)
+
+    def _give_up(self, now_s: float) -> None:
         for request_id, pending in list(self._pending.items()):
             if now_s >= pending.give_up_at_s:
                 del self._pending[request_id]
                 detail = f"no answer within {self._timeout_s:g} s: whether it was done is not known"
                 self._fail(pending.command, detail)
-            elif now_s >= pending.resend_at_s and not pending.resent:
-                pending.resent = True
-                sender.send(pending.command)
 
     def _queued(self) -> list[Command]:
         commands = []

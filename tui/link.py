@@ -135,6 +135,8 @@ class RigLink:
         except SweepscopeError as error:
             context.destroy(linger=0)
             self._set_connected(False, str(error))
+            self._errands.refuse()
+            self._news.paint()
             self._ending.wait(LOOK_S)
             return
         self._heard_at_s = None

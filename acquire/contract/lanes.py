@@ -79,20 +79,28 @@ class Sender:
     epoch: str = field(default_factory=lambda: uuid.uuid4().hex)
     seq: int = 0
 
-    def stamp(self, message: Message) -> Message:
-        """The message with the next sequence number, this sender's boot id and the monotonic time."""
+    def stamp(self, message: Message, sent_mono_ns: int | None = None) -> Message:
+        """The message with the next sequence number, this sender's boot id and the monotonic time (now, if None)."""
         self.seq += 1
-        return msgspec.structs.replace(
-            message, seq=self.seq, epoch=self.epoch, sent_mono_ns=time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-        )
+        when_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) if sent_mono_ns is None else sent_mono_ns
+        return msgspec.structs.replace(message, seq=self.seq, epoch=self.epoch, sent_mono_ns=when_ns)
 
-    def send(self, message: Message, payload: Any = None, *, routing_id: bytes | None = None) -> bool:
+    def send(
+        self,
+        message: Message,
+        payload: Any = None,
+        *,
+        routing_id: bytes | None = None,
+        sent_mono_ns: int | None = None,
+    ) -> bool:
         """Send without blocking; the payload is not copied and must not change until its ack.
+
+        ``sent_mono_ns``: of the first sending, where this is a second one, so that its age stays known.
 
         Returns:
             False if the peer is gone or its queue is full: the caller counts it.
         """
-        parts: list[Any] = [encode(self.stamp(message))]
+        parts: list[Any] = [encode(self.stamp(message, sent_mono_ns))]
         if payload is not None:
             parts.append(payload)
         if routing_id is not None:

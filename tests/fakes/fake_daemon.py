@@ -75,6 +75,8 @@ class FakeDaemon:
         self.status = status
         self.progress: ResultProgress | None = None
         self.commands: list[tuple[str, dict[str, Any]]] = []
+        self.sent_mono_ns: list[int] = []
+        """The stamp of each command."""
         self.refuse: dict[str, str] = {}
         self.show_pictures = False
         """Publish a picture with every status: a bright disc that wanders over noise."""
@@ -150,6 +152,7 @@ class FakeDaemon:
         command = received.message
         with self._changed:
             self.commands.append((command.name, command.args))
+            self.sent_mono_ns.append(command.sent_mono_ns)
             if not self.deaf:
                 self._commands.send(self._do(command), routing_id=received.routing_id)
             self._changed.notify_all()

@@ -42,6 +42,16 @@ def test_a_request_without_a_reply_is_sent_twice_with_one_id_and_then_given_up(r
         assert [name for name, _ in daemon.commands] == ["pause", "pause"]
 
 
+def test_a_request_that_is_sent_again_is_as_old_as_it_was(run_dir):
+    with FakeDaemon(run_dir) as daemon, RigClient(run_dir, timeout_s=0.4) as client:
+        daemon.deaf = True
+        with pytest.raises(NoServiceError):
+            client.request("pause")
+        daemon.asked("pause", count=2)
+        first, second = daemon.sent_mono_ns
+        assert first == second > 0
+
+
 def test_nobody_there_is_told_at_once(run_dir):
     begin_s = time.monotonic()
     with pytest.raises(NoServiceError, match="sweepscope up"):

@@ -14,6 +14,8 @@ from textual.message import Message
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
+from tui.client import new_request
+from tui.errands import Errands
 from tui.link import AWAY_S, RigLink
 from tui.messages import CommandAnswered, LinkChanged, News, PageKnown, ProgressArrived, StatusArrived
 
@@ -134,6 +136,22 @@ def test_a_deaf_daemon_is_asked_twice_and_then_given_up(run_dir):
         daemon.asked("pause", count=2)
         answer = ear.wait(CommandAnswered)
         assert not answer.ok and "whether it was done is not known" in answer.detail
+        first, second = daemon.sent_mono_ns
+        assert first == second > 0, "a restarted daemon could not tell that it is late"
+
+
+def test_a_command_without_an_answer_is_given_up_when_there_is_no_daemon_any_more():
+    class Line:
+        def send(self, command, *, sent_mono_ns):
+            return True
+
+    told: list[CommandAnswered] = []
+    errands = Errands(told.append, timeout_s=0.0)
+    errands.put(new_request("goto", {"position_steps": 3}))
+    errands.send(Line(), connected=True)
+    assert told == []
+    errands.refuse()
+    assert [answer.name for answer in told] == ["goto"] and "not known" in told[0].detail
 
 
 def test_the_address_of_the_page_is_found_and_its_loss_is_told(run_dir):
