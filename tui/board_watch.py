@@ -38,6 +38,8 @@ class BoardWatch:
             self._child = self._jobs().start(
                 "look for the board", command, SUBJECT, self._ended, on_result=self._on_facts, quiet=True
             )
+            if self._child is None:
+                self._again_s = time.monotonic() + AGAIN_S  # why was said; not again at each repaint
 
     def stop(self) -> None:
         """Nobody looks: nothing is looked for."""

@@ -32,16 +32,19 @@ class BringLight:
         return [*lamp, ("goto", {"position_steps": target_steps})]
 
     def forget(self) -> None:
-        """The move was refused, or stopped."""
+        """The move was refused, or stopped, or nobody looks any more."""
         self._target = None
 
     def heard(self, status: Status, now_s: float, *, stopped: bool) -> list[Command]:
         """A status came: the search, if the light is there."""
         if self._target is None:
             return []
+        if stopped or now_s > self._until_s:
+            self.forget()
+            return []
         moving = status.state == State.MOVING
         self._moved = self._moved or moving
         there = not moving and status.position_steps == self._target
-        if there or stopped or now_s > self._until_s or (self._moved and not moving):
-            self._target = None
-        return [("expose", {})] if there and not stopped else []
+        if there or (self._moved and not moving):
+            self.forget()
+        return [("expose", {})] if there else []

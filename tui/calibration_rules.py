@@ -58,7 +58,7 @@ _RULES: tuple[_Rule, ...] = (
     (frozenset({"use"}), lambda s: not s.sweeps, "there is no sweep"),
     (frozenset({"cancel"}), lambda s: not s.works, "nothing runs"),
     (frozenset({"verdict"}), lambda s: not s.has_verdict, "nothing was calibrated in this step yet"),
-    (frozenset({"fit"}), lambda s: s.works, "it runs already: x cancels"),
+    (frozenset({"fit", "anew"}), lambda s: s.works, "a calibration runs: x cancels"),
     (
         frozenset({"fit"}),
         lambda s: not s.plane_step and s.views < LEAST_VIEWS,

@@ -14,6 +14,7 @@ from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tests.fakes.small_scans import make_scan
 from tests.tui.stage import Stage, play
+from tui.board_watch import BoardWatch
 from tui.bring_light import BringLight
 from tui.calibration_rules import Situation, why_not
 from tui.calibration_session import BoardWords, CalibrationSession, parse_board
@@ -285,6 +286,36 @@ def test_a_light_that_was_stopped_on_its_way_searches_no_exposure():
     assert light.heard(moving, 1.1, stopped=True) == [] == light.heard(there, 1.2, stopped=False)
     light.begin(1578, far, 2.0)
     assert light.heard(far, 1000.0, stopped=False) == [] == light.heard(there, 1000.1, stopped=False)
+    light.begin(1578, far, 3.0)
+    assert light.heard(there, 1000.0, stopped=False) == [], "it is there long after anybody waited"
+
+
+def test_a_light_on_its_way_searches_no_exposure_once_the_screen_was_left(tmp_path):
+    async def script(stage):
+        stage.watch_jobs()
+        await stage.connect(msgspec.structs.replace(IDLE, lamp_on=True))
+        screen = stage.app.screen
+        screen._light.begin(1578, IDLE, stage.app.now_s())
+        screen.on_screen_suspend()
+        there = msgspec.structs.replace(IDLE, lamp_on=True, position_steps=1578)
+        await stage.connect(there)
+        assert stage.sent == []
+
+    play(script, screen="calibrate", data_dir=tmp_path)
+
+
+def test_a_child_that_cannot_be_started_is_not_tried_again_at_once():
+    class Desk:
+        tried = 0
+
+        def start(self, *_args, **_more):
+            self.tried += 1
+
+    desk = Desk()
+    watch = BoardWatch(lambda: desk, lambda facts: None)
+    for _ in range(3):
+        watch.follow(["watch"], wanted=True)
+    assert desk.tried == 1
 
 
 def test_the_simulated_board_takes_one_pose_after_the_other_and_real_rigs_have_no_such_key(tmp_path):
@@ -331,5 +362,8 @@ def test_rules_say_the_first_thing_that_hinders():
     free = Situation(False, False, True, 3, 0, 0, False, False, False)
     assert why_not("fit", free) == "" and why_not("cancel", free) == "nothing runs"
     assert why_not("fit", replace(free, views=2)).startswith("it takes at least three")
+    assert why_not("anew", free) == ""
+    for action in ("fit", "anew"):
+        assert why_not(action, replace(free, works=True)) == "a calibration runs: x cancels"
     assert why_not("capture", replace(free, sweep_runs=True)) == "a sweep runs"
     assert why_not("fit", replace(free, plane_step=True)) == "calibrate the camera first: m goes there"

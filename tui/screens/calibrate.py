@@ -96,8 +96,9 @@ class CalibrateScreen(CameraScreen):
         self.set_interval(LOOK_S, self._look)
 
     def on_screen_suspend(self) -> None:
-        """Nobody looks: nothing is looked for."""
+        """Nobody looks: nothing is looked for, and no search begins when the light arrives."""
         self._watch.stop()
+        self._light.forget()
 
     # ---- news ----
 
