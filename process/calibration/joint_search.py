@@ -70,22 +70,45 @@ def least_squares(problem: Problem, state: State) -> tuple[State, float]:
 
 
 def best_of_mirrored(problem: Problem, state: State, cost: float) -> State:
-    """Each board turned over to its mirrored pose, and all of them together, where their corners allow that."""
+    """Each board turned over to its mirrored pose, and all of them together, where their corners allow that.
+
+    Raises:
+        CalibrationError: another solution explains everything nearly as well as the best one.
+    """
     every = tuple(range(len(problem.boards)))
-    for turned in dict.fromkeys([*((number,) for number in every), every]):
-        if sum(_excess(problem, number) for number in turned) > HOPELESS:
-            continue
+    turns = [
+        turned
+        for turned in dict.fromkeys([*((number,) for number in every), every])
+        if sum(_excess(problem, number) for number in turned) <= HOPELESS
+    ]
+    rivals: list[tuple[float, State]] = []
+    left = list(turns)
+    while left:
+        turned = left.pop(0)
         again, new_cost = least_squares(problem, lit(problem, _turned_over(problem, state, turned)))
         if all(_came_back(problem, state, again, number) for number in turned):
             continue
-        if abs(new_cost - cost) < TELL_APART:
-            names = ", ".join(problem.surfaces[problem.boards[number]].sweep.name for number in turned)
+        if new_cost < cost - TELL_APART:
+            # whatever was nearly equal to a solution that is no good says nothing: all are turned over from the better
+            state, cost, left = again, new_cost, list(turns)
+        else:
+            rivals.append((new_cost, again))
+    _tell_apart(problem, state, cost, rivals)
+    return state
+
+
+def _tell_apart(problem: Problem, best: State, cost: float, rivals: Sequence[tuple[float, State]]) -> None:
+    for rival_cost, rival in rivals:
+        differing = [number for number in _mirrorable(problem) if not _came_back(problem, best, rival, number)]
+        if differing and rival_cost - cost < TELL_APART:
+            names = ", ".join(problem.surfaces[problem.boards[number]].sweep.name for number in differing)
             raise CalibrationError(
                 f"{names}: two poses of the board explain it nearly equally, with the light as well; tilt it more"
             )
-        if new_cost < cost:
-            state, cost = again, new_cost
-    return state
+
+
+def _mirrorable(problem: Problem) -> list[int]:
+    return [number for number in range(len(problem.boards)) if _poses(problem, number)[1] is not None]
 
 
 def _poses(problem: Problem, number: int) -> tuple[Pose, Pose | None]:
