@@ -1,4 +1,4 @@
-/* protocol.h - owns every number that host and firmware must agree on; acquire/stages/wire.py repeats them and a test
+/* protocol.h - owns every number that host and firmware must agree on; acquire/stages/uno/wire_format.py repeats them and a test
  * compares the two. Only #define NAME number and the packed structs below: no code.
  *
  * A block on the wire is COBS(length, sequence, type, body[length], crc32 little endian over all before it) and a zero.

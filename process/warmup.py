@@ -9,22 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel, TranslatingPlane
-from acquire.contract.messages import FrameFormat
-
-from .cloud import make_cloud, write_ply
-from .crossings import Maps
-from .estimates.block_kernels import FITTED
-from .estimates.columns import columns_of_stack
-from .estimates.early import Found, examine_pixels, follow_pixels
-from .estimates.filters import filtered
-from .estimates.noise import assumed_noise
-from .estimates.refine import refine
-from .estimates.weighing import Sequence, Weighing, first_at_half
-from .fold import Fold
-from .geometry import coordinates, plane_table, rays
-from .report import versions
-from .results import MapsSource, write_maps
-from .settings import ReconstructOptions, Recorded, settle
+from acquire.contract.messaging.messages import FrameFormat
+from process.cloud.cloud import make_cloud, write_ply
+from process.cloud.triangulation import coordinates, plane_table, rays
+from process.crossings.maps import Maps
+from process.edge_fit.early_estimates import Found, examine_pixels, follow_pixels
+from process.edge_fit.filters import filtered
+from process.edge_fit.noise_model import assumed_noise
+from process.edge_fit.pixel_columns import columns_of_stack
+from process.edge_fit.pixel_kernels import FITTED
+from process.edge_fit.refine import refine
+from process.edge_fit.weighting import Sequence, Weighing, first_at_half
+from process.fold.fold import Fold
+from process.results.maps_file import MapsSource, write_maps
+from process.results.report import versions
+from process.results.settings import ReconstructOptions, Recorded, settle
 
 SIZE_PX = 8
 FRAMES = 12

@@ -15,11 +15,11 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.units import NS_PER_MS
 
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
-from .reading import Reading
+from .reader_thread import Reading
 
 logger = logging.getLogger(__name__)
 _MOST_WAITING = 64

@@ -21,14 +21,14 @@ from genicam.gentl import GenericException as GenTLError
 from harvesters.core import Harvester
 from numpy.typing import NDArray
 
-from acquire.contract.config_model import CameraConfig
+from acquire.contract.config.model import CameraConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.units import NS_PER_S
 
-from .own_clock import OwnClock
+from .clock_check import OwnClock
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraLostError, CameraSettings, CameraSink
-from .reading import Reading
+from .reader_thread import Reading
 
 logger = logging.getLogger(__name__)
 

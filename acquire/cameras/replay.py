@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.config_model import RigConfig
+from acquire.cameras.image_files import format_of, list_pictures, read_picture
+from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
-from acquire.contract.messages import FrameFormat
-from acquire.contract.scan_reader import ScanReader
-from acquire.importing import format_of, list_pictures, read_picture
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.scan_data.reader import ScanReader
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
 

@@ -8,9 +8,9 @@ import time
 from collections import Counter
 from collections.abc import Callable
 
-from acquire.contract.config_model import RigConfig
-from acquire.contract.messages import FrameFormat
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.model import RigConfig
+from acquire.contract.config.simulation import SimulationConfig
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.simulation import Renderer, Scene, build_scene
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.config_model import CameraConfig
+from acquire.contract.config.model import CameraConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 
 from .protocol import CameraSettings
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .messages import FaultReport
+from acquire.contract.messaging.messages import FaultReport
 
 
 @dataclass(frozen=True)

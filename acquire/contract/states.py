@@ -70,3 +70,10 @@ def transition(current: State, wanted: State) -> State:
     if wanted != current and wanted not in TRANSITIONS[current]:
         raise IllegalTransitionError(f"{current} -> {wanted}")
     return wanted
+
+
+def outcome_words(outcome: Outcome | str, committed: int, expected: int) -> str:
+    """The line that people read; SAVED is said only of a complete scan with nothing missing."""
+    if outcome == Outcome.COMPLETE and committed == expected:
+        return f"SAVED: {committed} of {expected} frames are safe"
+    return f"{outcome}: {committed} of {expected} frames are safe"

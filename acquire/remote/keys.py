@@ -20,7 +20,7 @@ from typing import Literal, cast
 import tomli_w
 import zmq
 
-from acquire.contract.config import LoadedConfig
+from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import ConfigError
 
 May = Literal["steer", "watch"]

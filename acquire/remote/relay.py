@@ -14,9 +14,9 @@ from typing import Any
 
 import zmq
 
-from acquire.contract.codec import decode_as, encode
 from acquire.contract.errors import CommandRefusedError, ProtocolError
-from acquire.contract.messages import Command, Reply
+from acquire.contract.messaging.codec import decode_as, encode
+from acquire.contract.messaging.messages import Command, Reply
 
 MAX_BURST = 64
 MAX_ASKED = 1024

@@ -19,10 +19,10 @@ import msgspec
 import zmq
 from zmq.utils.monitor import parse_monitor_message
 
-from acquire.contract.codec import decode_as, encode
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ProtocolError
-from acquire.contract.lanes import bind, open_socket
-from acquire.contract.messages import Command, Status
+from acquire.contract.messaging.codec import decode_as, encode
+from acquire.contract.messaging.lanes import bind, open_socket
+from acquire.contract.messaging.messages import Command, Status
 
 from .addresses import ASKED, SPOKEN, Address
 from .gateway import keep_alive

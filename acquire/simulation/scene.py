@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import ConfigError
-from acquire.contract.simulation_config import SimulationConfig
 
 from . import materials, raycast
 from .kernels import kernel

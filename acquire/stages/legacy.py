@@ -11,11 +11,11 @@ from collections.abc import Callable
 
 import serial
 
-from acquire.contract.config_model import StageConfig
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
+from acquire.stages.uno.ports import choose_port, open_port
 
-from .host_run import HostRunStage
-from .ports import choose_port, open_port
+from .host_driven import HostRunStage
 from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
 
 BAUD = 9600

@@ -7,20 +7,11 @@ import time
 import uuid
 from collections.abc import Callable
 
-from acquire.contract.config_model import StageConfig
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 
-from .host_run import HostRunStage
-from .protocol import (
-    Moved,
-    Segment,
-    SegmentDone,
-    StageInfo,
-    StageSink,
-    StageStatus,
-    Stopped,
-    Triggered,
-)
+from .host_driven import HostRunStage
+from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
 
 TriggerLine = Callable[[float, int, float], None]
 """Called at each trigger, after it was reported, with the position at mid-exposure in microsteps, CLOCK_MONOTONIC in

@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 
-from acquire.contract.colours import LEVELS, table
-from acquire.contract.messages import FaultReport, Status
+from acquire.contract.colormaps import LEVELS, table
+from acquire.contract.messaging.messages import FaultReport, Status
 from acquire.contract.units import NS_PER_S, format_bytes, format_duration
+from process.viewer.rig_client.commands import Note
+from process.viewer.rig_client.feed import Snapshot
+from process.viewer.stream.colouring import PROVISIONAL_RGB, Legend
+from process.viewer.stream.streams import LinkNews
 
-from .commands import Note
-from .delivery import LinkNews
-from .feed import Snapshot
-from .look import PROVISIONAL_RGB, Legend
-from .words import RUNNING, Heading, Remark, heading, remarks, saved_line, scan_name
+from .status_text import RUNNING, Heading, Remark, heading, remarks, saved_line, scan_name
 
 DEAD_PAGE_S = 4
 """A page that has not been beaten for so long covers itself with a warning, by its style sheet alone."""

@@ -13,23 +13,22 @@ from pathlib import Path
 from types import FrameType
 
 from acquire.contract.clocks import MonotonicClock
-from acquire.contract.config import LoadedConfig
+from acquire.contract.config.load import LoadedConfig
 from acquire.contract.logs import is_journal
 from acquire.contract.notify import Notifier
-from acquire.contract.places import lock_service, prepare_run_dir
-
-from .camera_panel import CameraPanel
-from .commands import CommandLine
-from .door import Page, close_page, listen, open_page
-from .feed import Feed, Snapshot
-from .guard import Gate
-from .look import Look
-from .measuring import Measuring
-from .panel import Panel
-from .rig_panel import RigPanel
-from .scans_panel import ScansPanel
-from .scene import RigShown, Scene
-from .view_panel import ViewPanel
+from acquire.contract.run_dir import lock_service, prepare_run_dir
+from process.viewer.panels.camera_panel import CameraPanel
+from process.viewer.panels.measuring import Measuring
+from process.viewer.panels.rig_panel import RigPanel
+from process.viewer.panels.scans_panel import ScansPanel
+from process.viewer.panels.status_panel import Panel
+from process.viewer.panels.view_panel import ViewPanel
+from process.viewer.rig_client.commands import CommandLine
+from process.viewer.rig_client.feed import Feed, Snapshot
+from process.viewer.scene.scene import RigShown, Scene
+from process.viewer.server.access_control import Gate
+from process.viewer.server.guarded_server import Page, close_page, listen, open_page
+from process.viewer.stream.colouring import Look
 
 TURN_S = 0.04
 """Least time between two turns: the words on the page are never older than this and a little."""

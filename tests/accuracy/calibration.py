@@ -14,7 +14,7 @@ import cv2
 import msgspec
 import numpy as np
 
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
 from tests.fakes.simulated_scans import UM_PER_MICROSTEP, simulate_sweep
 from tui.cli import run

@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 
 from acquire.contract.calibration import load_calibration
-from acquire.contract.simulation_config import SimulationConfig
-from process.cloud import LEFT_OUT
-from process.geometry import planes_at, rays
-from process.quality import Quality
+from acquire.contract.config.simulation import SimulationConfig
+from process.cloud.cloud import LEFT_OUT
+from process.cloud.triangulation import planes_at, rays
+from process.crossings.quality import Quality
 from tests.fakes.simulated_scans import plan_of, simulate_sweep
 from tui.cli import run
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import build_scene, ideal_calibration
-from process.calibration.documents import write_document
+from process.calibration.calibration_file import write_document
 from tests.accuracy.calibration import NOISE, SIZE
 from tests.fakes.simulated_scans import UM_PER_MICROSTEP, plan_of, simulate_sweep
 from tui.cli import run

@@ -15,17 +15,17 @@ import cv2
 import numpy as np
 
 from acquire.contract.calibration import CameraModel
-from acquire.contract.messages import FrameFormat
-from process.calibration.boards import Sighting
-from process.calibration.bundle import Fit, as_vector, fit_camera, joint_covariance
-from process.calibration.joint_rows import SEAT_MM, SEAT_RAD
-from process.calibration.light_on import COMMON_FLOOR_FRAMES
-from process.calibration.plane_sweep import PlaneResult, fit_plane
-from process.calibration.poses import Pose, find_pose, project
-from process.calibration.surfaces import Surface
-from process.calibration.sweeps import FoldedSweep
-from process.calibration.uncertainty import HEIGHTS_MM
-from process.geometry import rays
+from acquire.contract.messaging.messages import FrameFormat
+from process.calibration.board.detection import Sighting
+from process.calibration.board.poses import Pose, find_pose, project
+from process.calibration.camera.bundle import Fit, as_vector, fit_camera, joint_covariance
+from process.calibration.light_plane.edge_on_surface import COMMON_FLOOR_FRAMES
+from process.calibration.light_plane.from_sweeps import PlaneResult, fit_plane
+from process.calibration.light_plane.joint_residuals import SEAT_MM, SEAT_RAD
+from process.calibration.light_plane.surfaces import Surface
+from process.calibration.light_plane.sweeps import FoldedSweep
+from process.calibration.light_plane.uncertainty import HEIGHTS_MM
+from process.cloud.triangulation import rays
 
 DISTORTION = np.array([-0.3, 0.0, 0.0, 0.0, 0.0])
 

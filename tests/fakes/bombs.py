@@ -10,10 +10,10 @@ from typing import Any
 import msgpack
 import zmq
 
-from acquire.contract.codec import encode
-from acquire.contract.lanes import connect
-from acquire.contract.messages import PROTOCOL, Command, Image, Nack
-from acquire.requests import REQUESTS
+from acquire.contract.messaging.codec import encode
+from acquire.contract.messaging.lanes import connect
+from acquire.contract.messaging.messages import PROTOCOL, Command, Image, Nack
+from acquire.daemon.requests import REQUESTS
 
 LANES = {
     "command": zmq.DEALER,

@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 
 from acquire.contract.calibration import CameraModel
-from acquire.contract.messages import FrameFormat, Image
-from acquire.contract.outcome import frame_crc32
+from acquire.contract.messaging.messages import FrameFormat, Image
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.scan_create import ScanRecipe
-from acquire.scan_file import _create_in
-from process.calibration.boards import Board
+from acquire.writer.create_file import ScanRecipe
+from acquire.writer.scan_file import _create_in
+from process.calibration.board.detection import Board
 
 DARK, LIGHT = 0.06, 0.82
 """Albedo of black and white."""

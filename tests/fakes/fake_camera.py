@@ -21,12 +21,12 @@ import msgspec
 import numpy as np
 import zmq
 
-from acquire.contract.lanes import Sender, bind
-from acquire.contract.messages import End, EndAck, FrameFormat, Image, Nack, Status
-from acquire.contract.places import lock_service, prepare_run_dir
+from acquire.contract.messaging.lanes import Sender, bind
+from acquire.contract.messaging.messages import End, EndAck, FrameFormat, Image, Nack, Status
+from acquire.contract.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State
-from acquire.events import Committed, Refused, Sealed, WriterReady
-from acquire.frame_lane import FrameLane
+from acquire.daemon.frame_sender import FrameLane
+from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 STATUS_S = 0.2

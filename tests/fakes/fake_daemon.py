@@ -16,8 +16,8 @@ import numpy as np
 import zmq
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.lanes import Sender, bind, receive
-from acquire.contract.messages import Command, Picture, Reply, ResultEnd, ResultProgress, Status
+from acquire.contract.messaging.lanes import Sender, bind, receive
+from acquire.contract.messaging.messages import Command, Picture, Reply, ResultEnd, ResultProgress, Status
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import HoldReason, Outcome, State
 

@@ -9,7 +9,7 @@ from textual.message import Message
 
 
 class FakeLink:
-    """Stands in for ``tui.link.RigLink``."""
+    """Stands in for ``tui.console.link.rig_link.RigLink``."""
 
     def __init__(self, post: Callable[[Message], Any]) -> None:
         self.post = post

@@ -13,8 +13,8 @@ import numpy as np
 import zmq
 from zmq.utils import garbage
 
-from acquire.contract.lanes import Sender, bind, receive
-from acquire.contract.messages import (
+from acquire.contract.messaging.lanes import Sender, bind, receive
+from acquire.contract.messaging.messages import (
     Command,
     Picture,
     Reply,
@@ -24,8 +24,8 @@ from acquire.contract.messages import (
     Status,
     TileHeader,
 )
+from acquire.contract.messaging.point_record import POINT
 from acquire.contract.plan import SweepPlan
-from acquire.contract.points import POINT
 
 PLAN = SweepPlan(first_steps=0, last_steps=1578, steps_per_frame=3, um_per_microstep=3.175)
 SCAN_UID = "scan-1"

@@ -17,8 +17,8 @@ from typing import Any
 DEADLINE_S = 30.0
 _WRITER = (
     "import sys; from pathlib import Path;"
-    "from acquire.contract.config import load_config; from acquire.contract.errors import SweepscopeError;"
-    "from acquire.writer import run_writer\n"
+    "from acquire.contract.config.load import load_config; from acquire.contract.errors import SweepscopeError;"
+    "from acquire.writer.service import run_writer\n"
     "try:\n    run_writer(load_config(), Path(sys.argv[1]))\n"
     "except SweepscopeError as error:\n    sys.exit(str(error))"
 )

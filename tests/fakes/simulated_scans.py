@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.contract.messages import FrameFormat, Image
-from acquire.contract.outcome import frame_crc32
+from acquire.contract.config.simulation import SimulationConfig
+from acquire.contract.messaging.messages import FrameFormat, Image
 from acquire.contract.plan import SweepPlan
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.scan_create import ScanRecipe
-from acquire.scan_file import _create_in
 from acquire.simulation import Renderer, build_scene, truth, write_truth
+from acquire.writer.create_file import ScanRecipe
+from acquire.writer.scan_file import _create_in
 
 UM_PER_MICROSTEP = 3.175
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from acquire.contract.layout import OWNER_LOCK_NAME
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.states import Outcome
-from acquire.scan_file import create_scan
+from acquire.writer.scan_file import create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 8

@@ -7,8 +7,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from acquire.contract.messages import ResultMaps
-from tui.view import MapsView
+from acquire.contract.messaging.messages import ResultMaps
+from tui.console.link.rig_view import MapsView
 
 HEIGHT, WIDTH = 96, 128
 

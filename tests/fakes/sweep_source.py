@@ -18,8 +18,8 @@ import zmq
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.lanes import Sender, bind, connect, open_socket, receive
-from acquire.contract.messages import (
+from acquire.contract.messaging.lanes import Sender, bind, connect, open_socket, receive
+from acquire.contract.messaging.messages import (
     End,
     FrameFormat,
     Image,
@@ -31,16 +31,16 @@ from acquire.contract.messages import (
     Start,
     Status,
 )
-from acquire.contract.outcome import frame_crc32
-from acquire.contract.places import endpoint
 from acquire.contract.plan import SweepPlan
+from acquire.contract.run_dir import endpoint
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.scan_file import ScanFile, create_scan
+from acquire.writer.scan_file import ScanFile, create_scan
 
 DEADLINE_S = 30.0
 _WORKER = (
     "import logging, sys; from pathlib import Path; logging.basicConfig(level='INFO');"
-    "from acquire.contract.config import load_config; from process.worker import run_worker;"
+    "from acquire.contract.config.load import load_config; from process.worker.service import run_worker;"
     "run_worker(load_config(), Path(sys.argv[1]))"
 )
 

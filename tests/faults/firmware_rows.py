@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.layout import PINS_NAME
-from acquire.contract.scan_reader import ScanReader
-from acquire.stages.emulator import missing_tools
+from acquire.contract.scan_data.dataset_names import PINS_NAME
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.stages.uno.emulator import missing_tools
 from tests.conftest import need
-from tui.client import RigClient
+from tui.client.rig_client import RigClient
 
 from .harness import EXPOSED_SHARE, START_S, STEPS, Rig, assert_promise
 from .rows import complete, outcome_in_file, resume

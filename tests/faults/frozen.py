@@ -11,8 +11,8 @@ import sys
 import time
 from pathlib import Path
 
-from acquire.contract.lanes import LIVE_MARK
-from acquire.verify import verify
+from acquire.contract.messaging.lanes import LIVE_MARK
+from acquire.writer.verify import verify
 
 from .harness import Rig, a_rig
 

@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 import psutil
 
-from acquire.contract.config import load_config
-from acquire.contract.layout import FrameStatus
-from acquire.contract.messages import Status
-from acquire.contract.outcome import frame_crc32, scan_digest
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.config.load import load_config
+from acquire.contract.messaging.messages import Status
+from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
+from acquire.contract.scan_data.dataset_names import FrameStatus
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.simulation import Renderer, build_scene
 from tests.system.appliance import SMALL, Appliance
-from tui.client import RigClient, somebody_listens
+from tui.client.rig_client import RigClient, somebody_listens
 
 ROOT = Path(__file__).parents[2]
 STEPS = 12

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ScanFileError
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.scan_data.reader import ScanReader
 
 from .firmware_rows import assert_pins, home, set_up
 from .harness import Rig, a_rig, assert_frames, assert_promise

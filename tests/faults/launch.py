@@ -24,7 +24,7 @@ def inject(name: str, flag: Path) -> None:
 
 def _disk_says(number: int) -> Callable[[Path], None]:
     def install(flag: Path) -> None:
-        from acquire import scan_store
+        from acquire.writer import frame_store as scan_store
 
         real = scan_store.write_at
 
@@ -39,8 +39,8 @@ def _disk_says(number: int) -> Callable[[Path], None]:
 
 
 def _other_firmware(_flag: Path) -> None:
-    from acquire import twin
-    from acquire.stages.emulator import build_firmware
+    from acquire.rigs import twin
+    from acquire.stages.uno.emulator import build_firmware
 
     folder = Path(os.environ["TMPDIR"]) / "firmware"
     twin.build_firmware = lambda: build_firmware(folder, "DEFINES=-DPROTOCOL_MAJOR=9")
@@ -48,7 +48,7 @@ def _other_firmware(_flag: Path) -> None:
 
 def _bits_flip(_flag: Path) -> None:
     """Every twentieth frame reaches the writer with a bit flipped, the first time that it comes."""
-    from acquire.scan_session import ScanSession
+    from acquire.writer.session import ScanSession
 
     real, seen = ScanSession.image, set()
 
@@ -64,8 +64,8 @@ def _bits_flip(_flag: Path) -> None:
 
 def _live_lane_lies(flag: Path) -> None:
     """The worker hears of other pixels than the writer, whole in themselves."""
-    from acquire.contract.outcome import frame_crc32
-    from acquire.running import RunningScan
+    from acquire.contract.scan_data.checksums import frame_crc32
+    from acquire.daemon.scan_runner import RunningScan
 
     def publish(self: Any, image: Any, pixels: Any) -> None:
         self._lane.offer(image, pixels)

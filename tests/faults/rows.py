@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messages import Status
-from acquire.contract.scan_reader import ScanReader
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
+from acquire.contract.messaging.messages import Status
+from acquire.contract.scan_data.reader import ScanReader
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
 from tests.fakes.bombs import hit
-from tui.client import RigClient
+from tui.client.rig_client import RigClient
 
 from .clock import wall_clock_library
 from .harness import COUNT, EXPOSED_SHARE, FRAME_BYTES, PACED, START_S, Rig, assert_frames, assert_promise

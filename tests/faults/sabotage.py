@@ -26,7 +26,7 @@ def _replace(owner: Any, name: str, value: Any) -> None:
 
 
 def _ack_before_write() -> None:
-    from acquire.scan_file import ScanFile
+    from acquire.writer.scan_file import ScanFile
 
     real, waiting = ScanFile.write_frame, []
 
@@ -40,7 +40,7 @@ def _ack_before_write() -> None:
 
 
 def _status_before_pixels() -> None:
-    from acquire.scan_file import ScanFile
+    from acquire.writer.scan_file import ScanFile
 
     real = ScanFile._put_pixels
 
@@ -54,13 +54,13 @@ def _status_before_pixels() -> None:
 
 
 def _no_replay() -> None:
-    from acquire.frame_lane import FrameLane
+    from acquire.daemon.frame_sender import FrameLane
 
     _replace(FrameLane, "_replay", lambda _self: None)
 
 
 def _no_verification() -> None:
-    from acquire.scan_store import ScanStore
+    from acquire.writer.frame_store import ScanStore
 
     _replace(ScanStore, "check_frames", lambda _self, _first=0: [])
 
@@ -72,13 +72,13 @@ def _no_lock() -> None:
 
 
 def _no_credit() -> None:
-    from acquire.window import Window
+    from acquire.sweep.credit_window import Window
 
     _replace(Window, "may_trigger_through", lambda _self: 10**9)
 
 
 def _no_ledger() -> None:
-    from acquire.lockstep import Ledger, Pairing
+    from acquire.sweep.pairing import Ledger, Pairing
 
     def frame(self: Any, *_args: int, **_more: object) -> Pairing:
         return Pairing(self.pending.popleft() if self.pending else None)
@@ -87,33 +87,36 @@ def _no_ledger() -> None:
 
 
 def _no_look_at_times() -> None:
-    from acquire.lockstep import Ledger
+    from acquire.sweep.pairing import Ledger
 
     _replace(Ledger, "_skip_unseen", lambda *_args: ())
 
 
 def _no_retake() -> None:
-    from acquire.sweep import Sweep
+    from acquire.sweep.state_machine import Sweep
 
     _replace(Sweep, "_lose", lambda *_args: [])
 
 
 def _no_format_check() -> None:
-    from acquire import documents, intake, scan_file
+    from acquire.activities import runner
+    from acquire.cameras import protocol
+    from acquire.sweep import frame_intake
+    from acquire.writer import scan_file
 
-    for module in (documents, intake):
+    for module in (protocol, frame_intake, runner):
         _replace(module, "what_is_wrong", lambda *_args: "")
     _replace(scan_file.ScanFile, "_check", lambda *_args: None)
 
 
 def _no_lamp_watch() -> None:
-    from acquire.lamp_watch import LampWatch
+    from acquire.sweep.light_monitor import LampWatch
 
     _replace(LampWatch, "update", lambda *_args: None)
 
 
 def _no_time_watch() -> None:
-    from acquire.time_watch import TimeWatch
+    from acquire.daemon.clock_watch import TimeWatch
 
     _replace(TimeWatch, "update", lambda *_args: [])
 
@@ -126,7 +129,8 @@ def _wall_clock() -> None:
 
 
 def _no_reservation() -> None:
-    from acquire import preparing, scan_create
+    from acquire.daemon import scan_setup as preparing
+    from acquire.writer import create_file as scan_create
 
     _replace(scan_create, "_probe", lambda *_args: None)
     _replace(scan_create, "reserve", lambda *_args: False)
@@ -150,7 +154,7 @@ def _no_link_count() -> None:
 
 
 def _no_calibration_check() -> None:
-    from acquire import preparing
+    from acquire.daemon import scan_setup as preparing
 
     _replace(preparing, "check_size", lambda *_args: None)
     _replace(preparing, "check_validity", lambda *_args: [])
@@ -165,13 +169,13 @@ def _no_signal_handler() -> None:
 def _no_bounds() -> None:
     import msgpack
 
-    from acquire.contract import codec
+    from acquire.contract.messaging import codec
 
     _replace(codec, "_unpack", lambda header: msgpack.unpackb(header, strict_map_key=False))
 
 
 def _no_writer_time_out() -> None:
-    from acquire.sweep import Sweep
+    from acquire.sweep.state_machine import Sweep
 
     real = Sweep._time_is_up
 
@@ -182,13 +186,13 @@ def _no_writer_time_out() -> None:
 
 
 def _no_mark() -> None:
-    from acquire.scan_session import ScanSession
+    from acquire.writer.session import ScanSession
 
     _replace(ScanSession, "leave_orphan", lambda _self: None)
 
 
 def _no_file_lane() -> None:
-    from process.cursor import FoldCursor
+    from process.results.fold_cursor import FoldCursor
 
     _replace(FoldCursor, "fill", lambda *_args, **_kwargs: 0)
 
@@ -196,7 +200,7 @@ def _no_file_lane() -> None:
 def _blocking_live_lane() -> None:
     import zmq
 
-    from acquire.contract import lanes
+    from acquire.contract.messaging import lanes
 
     real = lanes.bind
 
@@ -210,7 +214,7 @@ def _blocking_live_lane() -> None:
         return socket
 
     _replace(lanes, "bind", bind)
-    from acquire import daemon
+    from acquire.daemon import service as daemon
 
     _replace(daemon, "bind", bind)
     real_send = lanes.Sender.send
@@ -226,7 +230,7 @@ def _blocking_live_lane() -> None:
 
 
 def _one_client_only() -> None:
-    from acquire.command_lane import CommandLane
+    from acquire.daemon.command_server import CommandLane
 
     real, known = CommandLane._answer, set()
 
@@ -240,13 +244,13 @@ def _one_client_only() -> None:
 
 
 def _no_comparison_by_the_worker() -> None:
-    from process.cursor import FoldCursor
+    from process.results.fold_cursor import FoldCursor
 
     _replace(FoldCursor, "differs_from", lambda *_args: [])
 
 
 def _no_crc_on_arrival() -> None:
-    from acquire import scan_file
+    from acquire.writer import scan_file
 
     real = scan_file.frame_crc32
     _replace(scan_file, "frame_crc32", lambda raw: _Equal(real(raw)))
@@ -262,8 +266,7 @@ class _Equal(int):
 def _no_crc_on_the_line() -> None:
     from cobs import cobs
 
-    from acquire import framing
-    from acquire.stages import link
+    from acquire.stages.uno import framing, link
 
     def decode(encoded: bytes) -> Any:
         try:
@@ -277,7 +280,7 @@ def _no_crc_on_the_line() -> None:
 
 
 def _no_reconnect() -> None:
-    from acquire.stages.link import Link
+    from acquire.stages.uno.link import Link
 
     def lose(self: Any, detail: str) -> None:
         self._nonce = 0
@@ -288,14 +291,14 @@ def _no_reconnect() -> None:
 
 
 def _no_boot_id() -> None:
-    from acquire.stages.uno_reports import UnoReports
+    from acquire.stages.uno.reports import UnoReports
 
     real = UnoReports.on_back
     _replace(UnoReports, "on_back", lambda self, hello, same_session: real(self, hello, same_session=True))
 
 
 def _no_handshake() -> None:
-    from acquire.stages import handshake
+    from acquire.stages.uno import handshake
 
     class Any_(int):
         def __eq__(self, other: object) -> bool:
@@ -311,11 +314,12 @@ def _no_handshake() -> None:
 
 
 def _no_lease() -> None:
-    from acquire import twin
-    from acquire.stages import uno_config, wire
+    from acquire.rigs import twin
+    from acquire.stages.uno import config as uno_config
+    from acquire.stages.uno import wire_format as wire
 
     real = uno_config.config_body
-    from acquire.stages import uno_reports
+    from acquire.stages.uno import reports as uno_reports
 
     longest = wire.LEASE_MAX_MS
     import msgspec
@@ -326,7 +330,7 @@ def _no_lease() -> None:
 
 def _no_alarm() -> None:
     from acquire.stages.protocol import Alarm
-    from acquire.sweep import _HANDLERS
+    from acquire.sweep.state_machine import _HANDLERS
 
     _HANDLERS[Alarm] = lambda *_args: []
 

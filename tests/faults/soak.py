@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.fakes.bombs import hit
-from tui.client import RigClient
+from tui.client.rig_client import RigClient
 
 from .harness import FRAME_BYTES, Rig, a_rig, assert_promise
 

@@ -43,7 +43,7 @@ def test_the_texts_of_the_manual_are_those_of_the_console():
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_every_protection_is_still_where_it_is_taken_away():
     """Else its row would turn red for another reason: a service that does not start."""
-    import process.worker  # noqa: F401 - loaded once here, not in each child
+    import process.worker.service  # noqa: F401 - loaded once here, not in each child
 
     assert [name for name in PROTECTIONS if not can_be_taken_away(name)] == []
 

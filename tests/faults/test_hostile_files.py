@@ -13,14 +13,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from acquire.contract.calibration import load_calibration, parse_calibration
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import CalibrationError, ConfigError, SweepscopeError
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.importing import import_folder
-from acquire.recover import recover
-from acquire.scan_file import create_scan
-from acquire.verify import verify
+from acquire.importing.folder import import_folder
+from acquire.writer.recover import recover
+from acquire.writer.scan_file import create_scan
+from acquire.writer.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 6
@@ -164,7 +164,7 @@ def test_any_bytes_as_calibration_or_configuration_are_refused_in_one_line(tmp_p
 def test_a_configuration_with_one_wild_value_is_accepted_or_refused_in_one_line(section, data, value):
     import tomli_w
 
-    from acquire.contract.config_model import RigConfig
+    from acquire.contract.config.model import RigConfig
 
     key = data.draw(st.sampled_from(sorted(getattr(RigConfig(), section).__struct_fields__)))
     try:
@@ -219,7 +219,7 @@ print(outcomes.count("refused"), outcomes.count("imported"))
 
 def import_or_refuse(frames: Path, source: random.Random) -> str:
     """Bend one picture of a folder, import it, and put the picture back as it was."""
-    from acquire.importing import read_picture
+    from acquire.cameras.image_files import read_picture
 
     picture = source.choice(sorted(frames.iterdir()))
     whole, target = picture.read_bytes(), frames.parent / "scan.h5"
@@ -275,9 +275,9 @@ PLY_HEADERS = (
 def test_a_bent_cloud_is_opened_as_it_is_or_refused_in_one_line(tmp_path):
     from plyfile import PlyData, PlyElement
 
-    from process.cloud import VERTEX
-    from process.ply import read_vertices
-    from process.viewer.library import Entry, open_scan
+    from process.cloud.cloud import VERTEX
+    from process.cloud.ply import read_vertices
+    from process.viewer.exports.results_list import Entry, open_scan
 
     path, source = tmp_path / "cloud.ply", random.Random(5)
     PlyData([PlyElement.describe(np.zeros(50, VERTEX), "vertex")], byte_order="<").write(str(path))

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.config_model import StageConfig
-from acquire.stages.emulator import Emulator, PinState, TriggerEdge, build_firmware, missing_tools
-from acquire.stages.link import LinkTiming
+from acquire.contract.config.model import StageConfig
+from acquire.stages.uno.emulator import Emulator, PinState, TriggerEdge, build_firmware, missing_tools
+from acquire.stages.uno.link import LinkTiming
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEvent, Triggered
-from acquire.stages.uno import UnoStage
-from acquire.stages.uno_config import switch_position_steps
+from acquire.stages.uno.stage import UnoStage
+from acquire.stages.uno.config import switch_position_steps
 from tests.conftest import need
 
 WAIT_S = 20.0

@@ -13,9 +13,9 @@ import time
 from concurrent.futures import Future
 from pathlib import Path
 
-from acquire.framing import Block
-from acquire.stages.emulator import build_firmware
-from acquire.stages.wire import AckBody, Cmd, GrantBody, McuState, MoveBody, Result, StatusBody
+from acquire.stages.uno.framing import Block
+from acquire.stages.uno.emulator import build_firmware
+from acquire.stages.uno.wire_format import AckBody, Cmd, GrantBody, McuState, MoveBody, Result, StatusBody
 
 from .conftest import Bench
 

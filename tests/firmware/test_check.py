@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from acquire.contract.config_model import StageConfig
-from acquire.stages.check import DISTANCE_STEPS, StageCheck
-from acquire.stages.emulator import Emulator
-from acquire.stages.uno import UnoStage
+from acquire.contract.config.model import StageConfig
+from acquire.stages.wiring_check import DISTANCE_STEPS, StageCheck
+from acquire.stages.uno.emulator import Emulator
+from acquire.stages.uno.stage import UnoStage
 
 
 class Person:

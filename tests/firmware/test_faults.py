@@ -6,16 +6,16 @@ import os
 
 import pytest
 
-from acquire.contract.config_model import StageConfig
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
-from acquire.stages.emulator import Emulator, build_firmware
-from acquire.stages.handshake import FirmwareMismatchError
-from acquire.stages.line import LinkLostError
-from acquire.stages.link import LinkTiming
-from acquire.stages.ports import PortError, open_port
+from acquire.stages.uno.emulator import Emulator, build_firmware
+from acquire.stages.uno.handshake import FirmwareMismatchError
+from acquire.stages.uno.serial_io import LinkLostError
+from acquire.stages.uno.link import LinkTiming
+from acquire.stages.uno.ports import PortError, open_port
 from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, Stopped, Triggered
-from acquire.stages.uno import UnoStage
-from acquire.stages.wire import LINK_BAUD, Cmd, McuState, MoveBody, StatusBody
+from acquire.stages.uno.stage import UnoStage
+from acquire.stages.uno.wire_format import LINK_BAUD, Cmd, McuState, MoveBody, StatusBody
 
 STEP = Segment(30, 3, 12, mode="step", settle_ms=0.5, dwell_ms=1.0, run_up_steps=20)
 FLY = Segment(30, 3, 40, mode="fly", period_ms=1000 / 60, run_up_steps=20)
@@ -124,7 +124,7 @@ def test_f12_a_pulled_cable_holds_and_the_sweep_goes_on_when_it_is_back(make_ben
 
 
 def test_f12_a_cable_that_stays_out_ends_the_activity_with_a_named_alarm(bench, monkeypatch):
-    monkeypatch.setattr("acquire.stages.uno_reports._RECONNECT_S", 0.2)
+    monkeypatch.setattr("acquire.stages.uno.reports._RECONNECT_S", 0.2)
     bench.stage.begin_segment(STEP, 2)
     bench.wait_until(shot(2))
     bench.emulator.knob("unplug")

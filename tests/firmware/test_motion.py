@@ -7,9 +7,9 @@ import subprocess
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.stages.emulator import FIRMWARE_DIR
+from acquire.stages.uno.emulator import FIRMWARE_DIR
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, Stopped
-from acquire.stages.uno_config import switch_position_steps
+from acquire.stages.uno.config import switch_position_steps
 from tests.firmware.conftest import LIMIT_AT
 
 

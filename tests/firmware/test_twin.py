@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from acquire.cameras.protocol import CameraSettings
-from acquire.contract.config_model import CameraConfig, RigConfig, StageConfig
-from acquire.contract.simulation_config import SimulationConfig
-from acquire.rig import SimulatedRig, build_rig
+from acquire.contract.config.model import CameraConfig, RigConfig, StageConfig
+from acquire.contract.config.simulation import SimulationConfig
+from acquire.rigs.simulated import SimulatedRig
+from acquire.rigs.build import build_rig
 from acquire.stages.protocol import Moved, Segment, SegmentDone, Triggered
-from acquire.twin import TwinRig
+from acquire.rigs.twin import TwinRig
 
 SEGMENT = Segment(30, 6, 8, dwell_ms=4.0, run_up_steps=20)
 

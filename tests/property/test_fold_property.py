@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from process.fold import Fold
-from process.quality import Quality
+from process.crossings.quality import Quality
+from process.fold.fold import Fold
 from tests.reference.two_pass import greys_of, two_pass
 
 MAPS = ("minimum", "maximum", "mask", "crossing", "sigma", "colour", "last_record")

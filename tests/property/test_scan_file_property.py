@@ -9,12 +9,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquire.contract.messages import FrameFormat
-from acquire.contract.outcome import frame_crc32, scan_digest
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.scan_file import ScanFile, create_scan
-from acquire.scan_store import FrameRefusedError
+from acquire.writer.frame_store import FrameRefusedError
+from acquire.writer.scan_file import ScanFile, create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 7

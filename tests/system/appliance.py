@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from acquire.contract.messages import Status
-from tui.client import RigClient, somebody_listens
+from acquire.contract.messaging.messages import Status
+from tui.client.rig_client import RigClient, somebody_listens
 
 DEADLINE_S = 60.0
 SMALL = {

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire import bench_pipeline as bench
-from acquire import bench_publisher
+from acquire.bench import pipeline as bench
+from acquire.bench import publisher as bench_publisher
 from acquire.contract.errors import NoServiceError
 
 

@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from acquire.contract.states import State
-from tui.client import RigClient, somebody_listens
+from tui.client.rig_client import RigClient, somebody_listens
 
 SERVICES = {"daemon", "writer", "worker", "viewer"}
 RIG = """

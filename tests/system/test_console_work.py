@@ -6,16 +6,16 @@ import json
 
 import numpy as np
 
-from acquire.capture import write_png
+from acquire.activities.capture import write_png
 from acquire.contract.calibration import load_calibration
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
 from acquire.simulation.calibration import ideal_calibration
 from tests.fakes.small_scans import make_scan
 from tests.system.appliance import Appliance
 from tests.system.test_cli_tmux import CONSOLE, Terminal, terminal
 from tests.unit.rig_in_process import RigInProcess
-from tui.calibration_session import BoardWords, CalibrationSession
+from tui.console.calibration.session import BoardWords, CalibrationSession
 
 __all__ = ["terminal"]
 SLOW_S = 90.0

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
 from tests.fakes.launch import Bench, bench_at, wait_for
 from tests.system.test_viewer_browser import ARGUMENTS
 from tests.system.test_writer import assert_file_equals_witness

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 import zmq
 
-from acquire.contract.config_model import NetworkConfig
+from acquire.contract.config.model import NetworkConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError, NoServiceError
-from acquire.contract.lanes import bind, connect, receive
-from acquire.contract.messages import Command, Status
+from acquire.contract.messaging.lanes import bind, connect, receive
+from acquire.contract.messaging.messages import Command, Status
 from acquire.remote.addresses import OFFERED, SPOKEN, Address
 from acquire.remote.gateway import Gateway
 from acquire.remote.keys import KeyPair, allow, make_pair, revoke, signature_of
@@ -23,7 +23,7 @@ from acquire.remote.tunnel import Tunnel
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
 from tests.fakes.ports import free_port
 from tui.cli import run
-from tui.client import ProgressFeed, RigClient
+from tui.client.rig_client import ProgressFeed, RigClient
 
 DEADLINE_S = 20.0
 
@@ -206,7 +206,7 @@ def test_commands_carry_the_rigs_clock_and_the_name_of_the_key(run_dir: Path, tm
 
 
 def _encoded(message: Command | Status) -> bytes:
-    from acquire.contract.codec import encode
+    from acquire.contract.messaging.codec import encode
 
     return encode(message)
 

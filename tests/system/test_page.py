@@ -10,17 +10,17 @@ import msgspec
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.messages import FrameFormat, Image, Start
-from acquire.contract.outcome import frame_crc32
+from acquire.contract.messaging.messages import FrameFormat, Image, Start
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.scan_file import create_scan
-from process.page.figures import two_digits
-from process.page.page import page, verdict, write_page
-from process.page.results import ScanResults, read_results
-from process.reconstruct import reconstruct
-from process.replacing import ResultWriteError
-from process.settings import ReconstructOptions
+from acquire.writer.scan_file import create_scan
+from process.atomic_write import ResultWriteError
+from process.results.page.figures import two_digits
+from process.results.page.html import page, verdict, write_page
+from process.results.page.load import ScanResults, read_results
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
 from tests.fakes.sweep_source import calibration_json, edge_frames
 from tui.cli import run
 
@@ -125,6 +125,6 @@ def test_a_damaged_cloud_is_named(tmp_path):
 
 
 def test_a_folder_that_cannot_be_written_to_is_named(tmp_path, results, monkeypatch):
-    monkeypatch.setattr("process.page.page.page", lambda _: "a page")
+    monkeypatch.setattr("process.results.page.html.page", lambda _: "a page")
     with pytest.raises(ResultWriteError, match="cannot write"):
         write_page(tmp_path / "away" / "report.html", results)

@@ -7,8 +7,8 @@ import time
 import pytest
 import zmq
 
-from acquire.contract.lanes import connect, receive
-from acquire.contract.messages import Picture
+from acquire.contract.messaging.lanes import connect, receive
+from acquire.contract.messaging.messages import Picture
 
 from .appliance import Appliance
 

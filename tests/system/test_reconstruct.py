@@ -14,16 +14,16 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError
-from acquire.contract.layout import FRAME_FIELDS
-from acquire.contract.messages import FrameFormat, Image, Start
-from acquire.contract.outcome import frame_crc32
+from acquire.contract.messaging.messages import FrameFormat, Image, Start
 from acquire.contract.plan import SweepPlan
-from acquire.contract.scan_layout import read_layout
+from acquire.contract.scan_data.checksums import frame_crc32
+from acquire.contract.scan_data.dataset_names import FRAME_FIELDS
+from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import Outcome
-from acquire.scan_file import create_scan
-from process.frames import displayed
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
+from acquire.writer.scan_file import create_scan
+from process.results.reconstruct import reconstruct
+from process.results.scan_frames import displayed
+from process.results.settings import ReconstructOptions
 from tests.fakes.sweep_source import calibration_json, edge_frames
 
 COUNT, WIDTH, HEIGHT = 40, 64, 48

@@ -13,10 +13,10 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.calibration import load_calibration
-from acquire.importing import import_folder
-from process.geometry import planes_at, rays
-from process.reconstruct import Summary, reconstruct
-from process.settings import ReconstructOptions
+from acquire.importing.folder import import_folder
+from process.cloud.triangulation import planes_at, rays
+from process.results.reconstruct import Summary, reconstruct
+from process.results.settings import ReconstructOptions
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
-from acquire.contract.scan_layout import read_layout
-from acquire.verify import info
+from acquire.contract.scan_data.file_layout import read_layout
+from acquire.writer.verify import info
 from tui.cli import cli
 
 from .appliance import Appliance

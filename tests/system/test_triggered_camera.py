@@ -19,10 +19,10 @@ from acquire.cameras import genicam
 from acquire.cameras.free_running import FreeRunningCamera
 from acquire.cameras.genicam import GenicamCamera, GenicamDevice
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraLostError, CameraSettings
-from acquire.contract.config_model import CameraConfig, RigConfig, StageConfig
+from acquire.contract.config.model import CameraConfig, RigConfig, StageConfig
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.scan_reader import ScanReader
-from acquire.rig import Rig
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.rigs.base import Rig
 from acquire.stages.protocol import StageEvent, StageInfo, StageSink, Triggered
 from acquire.stages.simulated import SimulatedStage
 from tests.fakes.triggered_genicam import CLOCK_AHEAD_NS, FIRST_ID, LINE, SERIAL, TriggeredCamera
@@ -46,7 +46,7 @@ def device(monkeypatch) -> TriggeredCamera:
     made = TriggeredCamera(picture, WIDTH, HEIGHT)
     monkeypatch.setattr(genicam, "Harvester", made.harvester)
     monkeypatch.setattr(genicam, "_QUIET_S", 0.2)
-    monkeypatch.setattr("acquire.cameras.reading.AGAIN_S", 0.05)
+    monkeypatch.setattr("acquire.cameras.reader_thread.AGAIN_S", 0.05)
     return made
 
 

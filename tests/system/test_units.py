@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.config_model import LimitsConfig
+from acquire.contract.config.model import LimitsConfig
 from tests.conftest import need
 
 UNITS = Path(__file__).parents[2] / "systemd" / "system"

@@ -15,8 +15,8 @@ import websockets.asyncio.server
 import websockets.sync.client
 from viser import _messages
 
-from process.viewer import door
-from process.viewer.guard import Gate
+from process.viewer.server import guarded_server as door
+from process.viewer.server.access_control import Gate
 from tests.fakes.viewer_process import ViewerProcess, request, upgrade
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.contract.messages import Picture, ResultTiles, Status
-from process.viewer.commands import BEAT_STALE_NS, CommandLine, _Click
-from process.viewer.feed import Feed, Snapshot
+from acquire.contract.messaging.messages import Picture, ResultTiles, Status
+from process.viewer.rig_client.commands import BEAT_STALE_NS, CommandLine, _Click
+from process.viewer.rig_client.feed import Feed, Snapshot
 from tests.fakes.fake_results import SCAN_UID, FakeRig, hill_tiles
 
 DEADLINE_S = 10

@@ -11,15 +11,15 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.layout import FrameStatus
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.scan_data.dataset_names import FrameStatus
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.simulation import Renderer, build_scene
-from acquire.verify import verify
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
-from tui.client import ProgressFeed
+from acquire.writer.verify import verify
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
+from tui.client.rig_client import ProgressFeed
 
 from .appliance import SMALL, Appliance
 

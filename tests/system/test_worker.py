@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from acquire.contract.codec import encode
-from acquire.contract.points import POINT
+from acquire.contract.messaging.codec import encode
+from acquire.contract.messaging.point_record import POINT
 from acquire.contract.states import Outcome
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
 from tests.fakes.sweep_source import Listener, SweepSource, edge_frames, wait_until
 
 FRAMES, WIDTH, HEIGHT = 60, 128, 96
@@ -290,7 +290,7 @@ def test_it_leaves_cleanly_when_told_so(source, number):
 
 
 def source_crc(pixels: np.ndarray) -> int:
-    from acquire.contract.outcome import frame_crc32
+    from acquire.contract.scan_data.checksums import frame_crc32
 
     return frame_crc32(pixels)
 

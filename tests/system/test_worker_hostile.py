@@ -9,11 +9,11 @@ import msgpack
 import numpy as np
 import pytest
 
-from acquire.contract.codec import encode
-from acquire.contract.config import load_config
-from process import session as session_module
-from process.replacing import ResultWriteError
-from process.worker import Worker
+from acquire.contract.config.load import load_config
+from acquire.contract.messaging.codec import encode
+from process.atomic_write import ResultWriteError
+from process.worker import session as session_module
+from process.worker.service import Worker
 from tests.fakes.sweep_source import SweepSource, edge_frames, wait_until
 
 FRAMES = 12
@@ -99,7 +99,7 @@ def test_a_disk_that_is_full_for_a_while_delays_the_results_and_is_said(worker, 
         return write(*args, **options)
 
     monkeypatch.setattr(session_module, "write_results", full)
-    monkeypatch.setattr("process.worker.RETRY_NS", 1_000_000)
+    monkeypatch.setattr("process.worker.service.RETRY_NS", 1_000_000)
     said: list[str] = []
     fail = worker._fail
     monkeypatch.setattr(worker, "_fail", lambda session, why: (said.append(why), fail(session, why)))
@@ -118,6 +118,6 @@ def test_a_worker_that_meets_a_bug_goes_on_and_folds_again(worker, source, monke
         return write(*args, **options)
 
     monkeypatch.setattr(session_module, "write_results", buggy)
-    monkeypatch.setattr("process.worker.RETRY_NS", 1_000_000)
+    monkeypatch.setattr("process.worker.service.RETRY_NS", 1_000_000)
     fold_a_scan(worker, source)
     assert worker.session is not None and worker.session.cursor.counts.refolded == FRAMES

@@ -12,9 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.contract.scan_reader import ScanReader
-from acquire.scan_file import create_scan
-from acquire.verify import verify
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.writer.scan_file import create_scan
+from acquire.writer.verify import verify
 from tests.fakes.frames import pixels_of, start_of
 from tests.fakes.launch import Bench, bench_at, wait_for
 

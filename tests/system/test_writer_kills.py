@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.contract.messages import FrameFormat
-from acquire.contract.scan_reader import ScanReader
-from acquire.verify import verify
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.writer.verify import verify
 from tests.fakes.frames import pixels_of
 from tests.fakes.launch import Bench, Child, bench_at, wait_for
 from tests.system.test_writer import assert_file_equals_witness
@@ -90,9 +90,9 @@ def test_a_writer_killed_three_times_in_mid_sweep_leaves_no_gap_and_no_duplicate
 @pytest.mark.parametrize(
     ("module", "name", "nth", "when"),
     [
-        ("acquire.scan_create", "_write_entry", 1, "after"),
-        ("acquire.scan_file", "rename_new", 1, "before"),
-        ("acquire.scan_file", "rename_new", 1, "after"),
+        ("acquire.writer.create_file", "_write_entry", 1, "after"),
+        ("acquire.writer.scan_file", "rename_new", 1, "before"),
+        ("acquire.writer.scan_file", "rename_new", 1, "after"),
     ],
 )
 def test_a_writer_killed_while_it_makes_the_file_is_followed_by_one_that_makes_it(
@@ -113,7 +113,7 @@ def test_a_writer_killed_while_it_makes_the_file_is_followed_by_one_that_makes_i
 def test_a_writer_killed_within_a_frame_tears_nothing_that_counts(bench: Bench, name: str, nth: int, when: str) -> None:
     # nine writes make a frame: pixels, seven fields, status; the 73rd is the pixels of frame 8
     camera = bench.camera(20)
-    dies(dying_writer(bench, "acquire.scan_store", name, nth, when))
+    dies(dying_writer(bench, "acquire.writer.frame_store", name, nth, when))
     assert_what_was_acked_is_there(bench, 20)
     with ScanReader(bench.scan) as reader:
         assert reader.status()[8] == (1 if nth == 81 else 0)
@@ -125,10 +125,10 @@ def test_a_writer_killed_within_a_frame_tears_nothing_that_counts(bench: Bench, 
 @pytest.mark.parametrize(
     ("module", "name", "nth", "when"),
     [
-        ("acquire.scan_file", "ScanFile.check_frames", 1, "before"),
-        ("acquire.scan_file", "ScanFile._put_outcome", 1, "after"),
-        ("acquire.scan_file", "rename_new", 2, "before"),
-        ("acquire.scan_file", "rename_new", 2, "after"),
+        ("acquire.writer.scan_file", "ScanFile.check_frames", 1, "before"),
+        ("acquire.writer.scan_file", "ScanFile._put_outcome", 1, "after"),
+        ("acquire.writer.scan_file", "rename_new", 2, "before"),
+        ("acquire.writer.scan_file", "rename_new", 2, "after"),
     ],
 )
 def test_a_writer_killed_while_it_seals_is_followed_by_one_that_seals(

@@ -13,10 +13,10 @@ import msgspec
 import pytest
 import zmq
 
-from acquire.contract.lanes import Sender, bind, receive
-from acquire.contract.messages import PROTOCOL, Ack, End, EndAck, Hello, Message, Nack, Start, StartAck
+from acquire.contract.messaging.lanes import Sender, bind, receive
+from acquire.contract.messaging.messages import PROTOCOL, Ack, End, EndAck, Hello, Message, Nack, Start, StartAck
 from acquire.contract.states import Outcome
-from acquire.verify import verify
+from acquire.writer.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 from tests.fakes.launch import Bench, Child, bench_at
 

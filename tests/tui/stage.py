@@ -9,10 +9,10 @@ from pathlib import Path
 
 from tests.fakes.fake_daemon import IDLE
 from tests.fakes.fake_link import FakeLink
-from tui.app import ConsoleApp, ConsoleOptions
-from tui.jobs import Job
-from tui.messages import LinkChanged, StatusArrived
-from tui.screens.base import RigScreenBase
+from tui.console.app import ConsoleApp, ConsoleOptions
+from tui.console.link.messages import LinkChanged, StatusArrived
+from tui.console.screens.base import RigScreenBase
+from tui.processes.child_jobs import Job
 
 ME = "anna on pts/3"
 DEADLINE_S = 15.0

@@ -9,23 +9,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from acquire.contract.messages import Picture
+from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tests.fakes.small_scans import make_scan
 from tests.tui.stage import Stage, play
-from tui.board_watch import BoardWatch
-from tui.bring_light import BringLight
-from tui.calibration_rules import Situation, why_not
-from tui.calibration_session import BoardWords, CalibrationSession, parse_board
-from tui.calibration_words import camera_verdict, plane_verdict
-from tui.messages import CommandAnswered, PictureArrived, StatusArrived
-from tui.screens import calibrate
-from tui.screens.calibrate import BoardSeen
-from tui.view import PictureView
-from tui.widgets.board_picture import BoardPicture
-from tui.widgets.calibrate_panes import GuidePane
-from tui.widgets.rows import RowList
+from tui.console.calibration.board_watch import BoardWatch
+from tui.console.calibration.light_setup import BringLight
+from tui.console.calibration.rules import Situation, why_not
+from tui.console.calibration.session import BoardWords, CalibrationSession, parse_board
+from tui.console.calibration.texts import camera_verdict, plane_verdict
+from tui.console.link.messages import CommandAnswered, PictureArrived, StatusArrived
+from tui.console.link.rig_view import PictureView
+from tui.console.screens import calibrate
+from tui.console.screens.calibrate import BoardSeen
+from tui.console.widgets.board_picture import BoardPicture
+from tui.console.widgets.calibrate_panes import GuidePane
+from tui.console.widgets.rows import RowList
 
 PREVIEW = msgspec.structs.replace(IDLE, state=State.PREVIEW, activity="preview")
 FACTS = {

@@ -10,8 +10,8 @@ import pytest
 from acquire.contract.errors import CommandRefusedError, NoServiceError, SweepscopeError
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import SWEEPING, FakeDaemon
-from tui.client import ProgressFeed, RigClient, new_request, somebody_listens
-from tui.follow import Narrator, exit_status_of, follow_scan, has_ended
+from tui.client.follow import Narrator, exit_status_of, follow_scan, has_ended
+from tui.client.rig_client import ProgressFeed, RigClient, new_request, somebody_listens
 
 ENDED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527)
 

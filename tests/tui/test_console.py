@@ -9,17 +9,24 @@ from collections.abc import Awaitable, Callable
 import msgspec
 import pytest
 
-from acquire.contract.messages import FaultReport, ResultEnd
+from acquire.contract.messaging.messages import FaultReport, ResultEnd
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.fake_link import FakeLink
 from tests.tui.stage import ME, Stage
-from tui.app import ConsoleApp, ConsoleOptions
-from tui.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, ResultsOnDisk, StatusArrived
-from tui.screens.actions import ActionList
-from tui.screens.dialogs import ConfirmQuit, Form
-from tui.widgets.frame import FaultBanner, Header, KeyLine
-from tui.widgets.scan_panes import PlanPane, ProgressPane, StagePane
+from tui.console.app import ConsoleApp, ConsoleOptions
+from tui.console.link.messages import (
+    CommandAnswered,
+    LinkChanged,
+    PageKnown,
+    ProgressArrived,
+    ResultsOnDisk,
+    StatusArrived,
+)
+from tui.console.screens.actions import ActionList
+from tui.console.screens.dialogs import ConfirmQuit, Form
+from tui.console.widgets.frame import FaultBanner, Header, KeyLine
+from tui.console.widgets.scan_panes import PlanPane, ProgressPane, StagePane
 
 URL = "http://127.0.0.1:8080/?token=secret"
 FAULT = FaultReport(

@@ -10,8 +10,8 @@ import pytest
 from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import SWEEPING
-from tui.demo_report import Verdict, is_final, read_report
-from tui.demo_rig import DemoOptions, DemoRig
+from tui.demo.report import Verdict, is_final, read_report
+from tui.demo.rig import DemoOptions, DemoRig
 
 SAVED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
 TRUTH = {

@@ -7,12 +7,12 @@ import msgspec
 from acquire.contract.faults import report
 from tests.fakes.fake_daemon import IDLE
 from tests.tui.stage import play
-from tui.fault_book import FaultBook
-from tui.logbook import LogLine
-from tui.messages import StatusArrived
-from tui.screens.faults import FaultDetail
-from tui.screens.log import LogView, filtered
-from tui.widgets.rows import RowList
+from tui.console.link.messages import StatusArrived
+from tui.console.screens.faults import FaultDetail
+from tui.console.screens.log import LogView, filtered
+from tui.console.state.fault_log import FaultBook
+from tui.console.state.logbook import LogLine
+from tui.console.widgets.rows import RowList
 
 WRITER = report("F03", 10**9, committed=410, expected=527)
 NOISE = report("F11", 2 * 10**9, detail="block 7")

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import pytest
 
 from acquire.contract.errors import SweepscopeError
-from tui import jobs as jobs_module
-from tui.jobs import Job, JobBoard
+from tui.processes import child_jobs as jobs_module
+from tui.processes.child_jobs import Job, JobBoard
 
 DEADLINE_S = 20.0
 PROGRAM = [sys.executable, "-S", "-c"]

@@ -6,16 +6,16 @@ import msgspec
 import pytest
 
 from acquire.contract.errors import ConfigError
-from acquire.contract.messages import Proposal
+from acquire.contract.messaging.messages import Proposal
 from acquire.contract.states import HoldReason, State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
-from tui.draft import Draft
-from tui.estimate import Estimate
-from tui.jog import JogGate, clip, next_size
-from tui.keymap import load_keymap
-from tui.scan_forms import parse_plan, parse_position, parse_words
-from tui.scan_rules import why_not
-from tui.stopping import StopWatch
+from tui.console.keymap import load_keymap
+from tui.console.state.estimate import Estimate
+from tui.console.state.jog import JogGate, clip, next_size
+from tui.console.state.scan_draft import Draft
+from tui.console.state.scan_forms import parse_plan, parse_position, parse_words
+from tui.console.state.scan_rules import why_not
+from tui.console.state.stop_state import StopWatch
 
 TRAVEL = (0, 4500)
 

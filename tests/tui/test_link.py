@@ -14,10 +14,10 @@ from textual.message import Message
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
-from tui.client import new_request
-from tui.errands import Errands
-from tui.link import AWAY_S, RigLink
-from tui.messages import CommandAnswered, LinkChanged, News, PageKnown, ProgressArrived, StatusArrived
+from tui.client.rig_client import new_request
+from tui.console.link.messages import CommandAnswered, LinkChanged, News, PageKnown, ProgressArrived, StatusArrived
+from tui.console.link.requests import Errands
+from tui.console.link.rig_link import AWAY_S, RigLink
 
 
 class Ear:

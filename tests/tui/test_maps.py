@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from process.crossings import contrast_mask
-from tui.maps import (
+from process.crossings.maps import contrast_mask
+from tui.console.pictures.maps import (
     MapSet,
     Quantity,
     Window,
@@ -25,7 +25,7 @@ from tui.maps import (
     values_at,
     window_on,
 )
-from tui.maps_file import read_maps
+from tui.console.pictures.maps_file import read_maps
 
 
 def some_maps(height: int = 48, width: int = 64, *, step: int = 1, bit_depth: int = 8, median: int = 5) -> MapSet:

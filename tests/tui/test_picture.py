@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from textual.app import App
 
-from acquire.contract.messages import Picture
-from tui.governor import DEAF_S, STALLED_S, Governor
-from tui.raster import FULL, Detail, Raster, fit, reduce_to
-from tui.view import PictureView
-from tui.widgets.picture import LivePicture
+from acquire.contract.messaging.messages import Picture
+from tui.console.link.rig_view import PictureView
+from tui.console.pictures.picture_rate import DEAF_S, STALLED_S, Governor
+from tui.console.pictures.raster import FULL, Detail, Raster, fit, reduce_to
+from tui.console.widgets.picture import LivePicture
 
 
 def noisy(seed: int, level: float = 100.0, sigma: float = 8.0) -> np.ndarray:

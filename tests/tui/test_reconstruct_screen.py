@@ -12,10 +12,10 @@ from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.small_scans import make_scan
 from tests.fakes.some_maps import live_maps, write_maps
 from tests.tui.stage import play
-from tui.messages import MapsArrived, ProgressArrived, StatusArrived
-from tui.screens.reconstruct import ReconstructScreen
-from tui.widgets.contrast_pane import ContrastPane
-from tui.widgets.map_view import MapView
+from tui.console.link.messages import MapsArrived, ProgressArrived, StatusArrived
+from tui.console.screens.reconstruct import ReconstructScreen
+from tui.console.widgets.contrast_pane import ContrastPane
+from tui.console.widgets.map_view import MapView
 
 MAPS = (ProgressArrived(msgspec.structs.replace(PROGRESS, scan_uid="uid-1")), MapsArrived(live_maps()))
 ENDED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527)

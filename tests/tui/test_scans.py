@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.errors import AlreadyRunningError, ScanFileError
-from acquire.contract.layout import OWNER_LOCK_NAME
-from acquire.contract.notes import Notes, notes_of, write_notes
-from acquire.contract.places import FileLock
-from acquire.verify import info
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
+from acquire.contract.scan_data.notes import Notes, notes_of, write_notes
+from acquire.writer.verify import info
 from tests.fakes.small_scans import make_scan
-from tui import scan_copies
 from tui.cli import run
-from tui.scan_copies import copies_of, copy_scan
-from tui.scans import ScanFolder, read_entry, scan_folder
-from tui.trash import trash_scan
+from tui.scans import copies as scan_copies
+from tui.scans.copies import copies_of, copy_scan
+from tui.scans.folder import ScanFolder, read_entry, scan_folder
+from tui.scans.trash import trash_scan
 
 NOW = datetime(2026, 1, 4, 3, 4, 5, tzinfo=UTC)
 PLANE = {"light_plane": {"kind": "translating"}, "valid_for": {"created_utc": "2025-12-21T03:04:05Z"}}

@@ -8,16 +8,16 @@ from pathlib import Path
 import pytest
 from textual.widgets import Input
 
-from acquire.contract.layout import OWNER_LOCK_NAME
-from acquire.contract.places import FileLock
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from tests.fakes.small_scans import make_scan
 from tests.fakes.some_maps import write_maps
 from tests.tui.stage import Stage, play
-from tui.screens import dialogs, scans
-from tui.screens.dialogs import Confirm, Form
-from tui.screens.reconstruct import ReconstructScreen
-from tui.widgets.rows import RowList
-from tui.widgets.scan_rows import ScanDetail
+from tui.console.screens import dialogs, scans
+from tui.console.screens.dialogs import Confirm, Form
+from tui.console.screens.reconstruct import ReconstructScreen
+from tui.console.widgets.rows import RowList
+from tui.console.widgets.scan_rows import ScanDetail
 
 
 @pytest.fixture(autouse=True)

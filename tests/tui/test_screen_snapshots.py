@@ -9,23 +9,23 @@ import msgspec
 import numpy as np
 import pytest
 
-import tui.scans
+import tui.scans.folder
 from acquire.contract.faults import report
-from acquire.contract.messages import Picture
+from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.fake_link import FakeLink
 from tests.fakes.small_scans import make_scan
 from tests.fakes.some_maps import live_maps
-from tui.app import ConsoleApp
-from tui.fault_book import FaultBook
-from tui.messages import LinkChanged, MapsArrived, PictureArrived, ProgressArrived, StatusArrived
-from tui.options import ConsoleOptions
-from tui.screens import scans
-from tui.screens.calibrate import BoardSeen
-from tui.view import PictureView
-from tui.widgets import scan_rows
-from tui.widgets.rows import RowList
+from tui.console.app import ConsoleApp
+from tui.console.link.messages import LinkChanged, MapsArrived, PictureArrived, ProgressArrived, StatusArrived
+from tui.console.link.rig_view import PictureView
+from tui.console.options import ConsoleOptions
+from tui.console.screens import scans
+from tui.console.screens.calibrate import BoardSeen
+from tui.console.state.fault_log import FaultBook
+from tui.console.widgets import scan_rows
+from tui.console.widgets.rows import RowList
 
 SIZES = [(80, 24), (160, 50)]
 FAULTS = [
@@ -101,7 +101,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("screen", list(PLAYS))
 def test_the_screen_looks_as_it_did(snap_compare, screen, size, folder, monkeypatch):
     monkeypatch.setattr(scans, "_free", lambda _folder: "57.4 GB")
-    for module in (scans, scan_rows, tui.scans):  # how large a scan's file is, is not what this compares
+    for module in (scans, scan_rows, tui.scans.folder):  # how large a scan's file is, is not what this compares
         monkeypatch.setattr(module, "format_bytes", lambda _size: "1.2 GB")
     app = ConsoleApp(FakeLink, ConsoleOptions(screen=screen, data_dir=folder), clock=lambda: "12:00:00")
     app.fault_book = FaultBook(wall_time=lambda ns: f"2026-01-01 12:00:0{ns // 10**9}")

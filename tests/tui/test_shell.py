@@ -7,19 +7,19 @@ import random
 
 import pytest
 
-from acquire.contract.messages import Picture
+from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING, wandering_disc
 from tests.fakes.fake_link import FakeLink
 from tests.tui.test_console import FAULT, ME, drive, replace
-from tui.app import ConsoleApp, ConsoleOptions
-from tui.messages import CommandAnswered, LinkChanged, PictureArrived, ProgressArrived, StatusArrived
-from tui.screens import SCREENS
-from tui.screens.adjust import Adjust
-from tui.screens.dialogs import Form
-from tui.view import PictureView
-from tui.widgets.frame import Header, KeyLine
-from tui.widgets.scan_panes import LightPane, PlanPane, StagePane
+from tui.console.app import ConsoleApp, ConsoleOptions
+from tui.console.link.messages import CommandAnswered, LinkChanged, PictureArrived, ProgressArrived, StatusArrived
+from tui.console.link.rig_view import PictureView
+from tui.console.screen_table import SCREENS
+from tui.console.screens.adjust import Adjust
+from tui.console.screens.dialogs import Form
+from tui.console.widgets.frame import Header, KeyLine
+from tui.console.widgets.scan_panes import LightPane, PlanPane, StagePane
 
 SETTINGS = {"exposure_ms": 30.0, "gain": 6.0, "brightness_percent": 0.0}
 LIMITS = {"exposure_ms": (0.1, 500.0), "gain": (0.0, 24.0), "brightness_percent": (0.0, 10.0)}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from acquire.contract.messages import FaultReport, Picture, Proposal
+from acquire.contract.messaging.messages import FaultReport, Picture, Proposal
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING, wandering_disc
 from tests.fakes.fake_link import FakeLink
-from tui.app import ConsoleApp
-from tui.messages import LinkChanged, PageKnown, PictureArrived, ProgressArrived, StatusArrived
-from tui.view import PictureView
+from tui.console.app import ConsoleApp
+from tui.console.link.messages import LinkChanged, PageKnown, PictureArrived, ProgressArrived, StatusArrived
+from tui.console.link.rig_view import PictureView
 
 SIZES = [(80, 24), (160, 50)]
 URL = "http://127.0.0.1:8080/?token=Zsw-hPl2uiU7AXeLkp8znj7naotsP8bJM9rRWYchyW0"

@@ -13,14 +13,15 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tui.supervisor import HOPELESS_STARTS, ServiceSpec, Supervisor
+from tui.processes.supervisor import HOPELESS_STARTS, ServiceSpec, Supervisor
 
 SLEEPER = "import signal, sys; print('up', flush=True); signal.pause()"
 STUBBORN = (
     "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True)\nwhile True: signal.pause()"
 )
 FOLLOWER = (
-    "from tui.lifeline import follow_parent; import signal; follow_parent(); print('up', flush=True); signal.pause()"
+    "from tui.processes.parent_watch import follow_parent; import signal; "
+    "follow_parent(); print('up', flush=True); signal.pause()"
 )
 ORDERED = (
     "import signal, sys, time, pathlib\n"
@@ -121,7 +122,7 @@ def test_nothing_is_started_again_after_the_end(keep, tmp_path):
 def test_a_child_follows_its_killed_supervisor(tmp_path):
     code = (
         "import os, signal, sys\n"
-        "from tui.supervisor import ServiceSpec, Supervisor\n"
+        "from tui.processes.supervisor import ServiceSpec, Supervisor\n"
         f"spec = ServiceSpec('a', (sys.executable, '-c', {FOLLOWER!r}))\n"
         "supervisor = Supervisor([spec], os.environ, print)\n"
         "supervisor.start(); print(supervisor.pids['a'], flush=True); signal.pause()\n"
@@ -143,7 +144,7 @@ def test_a_child_follows_its_killed_supervisor(tmp_path):
 
 
 def test_a_gateway_is_started_only_where_the_rig_is_offered_to_other_machines():
-    from tui.up import service_specs
+    from tui.processes.all_services import service_specs
 
     assert "gateway" not in [spec.name for spec in service_specs(None)]
     assert [spec.name for spec in service_specs(None, offered=True)][-1] == "gateway"

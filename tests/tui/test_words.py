@@ -5,13 +5,12 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from acquire.contract.messages import FaultReport, Proposal
+from acquire.contract.messaging.messages import FaultReport, Proposal
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
-from tui.fit import shorten, spread
-from tui.narration import Narrator
-from tui.sizes import parse_size
-from tui.words import (
+from tui.console.state.log_messages import Narrator
+from tui.text.sizes import parse_size
+from tui.text.status_text import (
     bar,
     fraction_done,
     newest_fault,
@@ -25,6 +24,7 @@ from tui.words import (
     status_lines,
     worker_words,
 )
+from tui.text.width import shorten, spread
 
 ENDED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
 

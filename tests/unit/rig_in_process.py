@@ -10,13 +10,14 @@ from typing import Any, Self
 
 import zmq
 
-from acquire.contract.config import load_config
-from acquire.contract.config_model import RigConfig
-from acquire.contract.lanes import connect, receive
-from acquire.contract.messages import Picture
-from acquire.daemon import Daemon
-from acquire.rig import Rig, build_rig
-from tui.client import RigClient
+from acquire.contract.config.load import load_config
+from acquire.contract.config.model import RigConfig
+from acquire.contract.messaging.lanes import connect, receive
+from acquire.contract.messaging.messages import Picture
+from acquire.daemon.service import Daemon
+from acquire.rigs.base import Rig
+from acquire.rigs.build import build_rig
+from tui.client.rig_client import RigClient
 
 DEADLINE_S = 30.0
 SMALL = {

@@ -9,17 +9,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire import actions as do
 from acquire.cameras.protocol import CameraFrame
-from acquire.contract.messages import AckItem, EndAck, FaultReport, FrameFormat, Image
+from acquire.contract.messaging.messages import AckItem, EndAck, FaultReport, FrameFormat, Image
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
-from acquire.events import Committed, Sealed, SweepEvent, Tick, WriterReady
-from acquire.phases import Phase
-from acquire.shooting import Shooting, SweepSettings
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
-from acquire.sweep import Sweep
-from acquire.window import Window
+from acquire.sweep import actions as do
+from acquire.sweep.credit_window import Window
+from acquire.sweep.events import Committed, Sealed, SweepEvent, Tick, WriterReady
+from acquire.sweep.phases import Phase
+from acquire.sweep.progress import Shooting
+from acquire.sweep.settings import SweepSettings
+from acquire.sweep.state_machine import Sweep
 
 MS = 1_000_000
 FORMAT = FrameFormat(width=5, height=4, bit_depth=8)

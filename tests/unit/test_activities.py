@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from acquire.activities.exposure_search import advise
+from acquire.activities.jog_hold import MOST_STEPS
+from acquire.activities.prescan import look_positions
+from acquire.activities.prescan_analysis import Looks, find_bounds, propose_exposure
 from acquire.contract.errors import CommandRefusedError
-from acquire.exposure_search import advise
-from acquire.jog_hold import MOST_STEPS
-from acquire.prescan import look_positions
-from acquire.prescan_findings import Looks, find_bounds, propose_exposure
 
 from .rig_in_process import RigInProcess
 

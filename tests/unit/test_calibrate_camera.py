@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.boards import Board, BoardNotFoundError, find_board
-from process.calibration.bundle import Fit
-from process.calibration.camera import calibrate_camera
-from process.calibration.selection import choose_corners, choose_model, without_k1
+from process.calibration.board.detection import Board, BoardNotFoundError, find_board
+from process.calibration.camera.bundle import Fit
+from process.calibration.camera.calibrate import calibrate_camera
+from process.calibration.camera.selection import choose_corners, choose_model, without_k1
 from tests.accuracy.uncertainty import SMALL, see
 
 BOARD = Board(13, 10, 0.3)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from acquire.contract.config_model import CheckConfig
+from acquire.contract.config.model import CheckConfig
 from acquire.contract.errors import CalibrationError
-from process.calibration.boards import Board
-from process.calibration.check import repeatability
-from process.calibration.documents import new_document, write_document
-from process.calibration.spheres import find_spheres, fit_sphere
-from process.calibration.verdict import of_spheres
+from process.calibration.board.detection import Board
+from process.calibration.calibration_file import new_document, write_document
+from process.calibration.check.planarity import repeatability
+from process.calibration.check.spheres import find_spheres, fit_sphere
+from process.calibration.check.verdict import of_spheres
 from tests.fakes.drawn_boards import PINHOLE, Light, bulge, caps, chessboard, sweep, turned
 from tui.cli import cli
 

@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.boards import Board
-from process.calibration.documents import new_document, write_document
+from process.calibration.board.detection import Board
+from process.calibration.calibration_file import new_document, write_document
 from tests.fakes.drawn_boards import PINHOLE, Light, Pinhole, bulge, charuco, chessboard, photograph, sweep, turned
 from tui.cli import cli
 

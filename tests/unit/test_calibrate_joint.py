@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from acquire.contract.calibration import CameraModel, parse_calibration
-from process.calibration.documents import new_document
-from process.calibration.plane_sweep import PlaneResult, fit_plane
-from process.calibration.recipe import SweepRecipe, as_before, with_plane
-from process.calibration.surfaces import Surface
+from process.calibration.calibration_file import new_document
+from process.calibration.light_plane.from_sweeps import PlaneResult, fit_plane
+from process.calibration.light_plane.recipe import SweepRecipe, as_before, with_plane
+from process.calibration.light_plane.surfaces import Surface
 from tests.accuracy.uncertainty import COARSE, SMALL, measured, point_errors_um
 
 

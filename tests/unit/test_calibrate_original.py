@@ -13,8 +13,8 @@ from plyfile import PlyData
 
 from acquire.contract.calibration import load_calibration
 from acquire.contract.errors import CalibrationError
-from process.calibration.original import pattern_normal, read_calibration_txt, read_projector_txt
-from process.geometry import Hits, intersect, plane_table, rays
+from process.calibration.original_program import pattern_normal, read_calibration_txt, read_projector_txt
+from process.cloud.triangulation import Hits, intersect, plane_table, rays
 from tui.cli import cli
 
 K = np.array([[11560.0, 0.0, 692.1], [0.0, 11530.0, 591.6], [0.0, 0.0, 1.0]])

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from process.calibration.boards import Board, BoardNotFoundError, find_board
-from process.calibration.camera import calibrate_camera
+from process.calibration.board.detection import Board, BoardNotFoundError, find_board
+from process.calibration.camera.calibrate import calibrate_camera
 from tests.fakes.drawn_boards import PINHOLE, charuco, dots, photograph, turned
 
 MARKERS = Board(8, 6, 0.6, "charuco")

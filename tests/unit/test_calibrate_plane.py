@@ -10,18 +10,18 @@ import pytest
 from click.testing import CliRunner
 
 from acquire.contract.calibration import CameraModel, load_calibration
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import CalibrationError
-from acquire.contract.messages import FrameFormat
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.simulation import build_scene, ideal_calibration
-from process.calibration.documents import new_document, read_document, write_document
-from process.calibration.plane_sweep import fit_plane
-from process.calibration.recipe import rezeroed
-from process.calibration.reference_planes import ReferenceResult, fit_reference_planes, read_planes
-from process.calibration.robust import solve
-from process.calibration.surfaces import Surface
-from process.calibration.sweeps import FoldedSweep, fold_sweep
-from process.geometry import rays
+from process.calibration.calibration_file import new_document, read_document, write_document
+from process.calibration.light_plane.from_sweeps import fit_plane
+from process.calibration.light_plane.recipe import rezeroed
+from process.calibration.light_plane.robust import solve
+from process.calibration.light_plane.surfaces import Surface
+from process.calibration.light_plane.sweeps import FoldedSweep, fold_sweep
+from process.calibration.reference_planes.calibrate import ReferenceResult, fit_reference_planes, read_planes
+from process.cloud.triangulation import rays
 from tests.fakes.simulated_scans import plan_of, simulate_sweep
 from tui.cli import cli
 

@@ -9,11 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from acquire.contract.calibration import load_calibration
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import CalibrationError
-from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import build_scene, ideal_calibration
-from process.calibration.documents import new_document, write_document
-from process.calibration.slide_optics import Slide
+from process.calibration.calibration_file import new_document, write_document
+from process.calibration.quarter_circle.optics import Slide
 from tests.fakes.simulated_scans import plan_of, simulate_sweep
 from tui.cli import cli
 

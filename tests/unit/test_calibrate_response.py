@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from acquire.contract.config_model import RigConfig
+from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import CalibrationError, SweepscopeError
-from acquire.exposures import take_exposures
-from process.calibration.response import find_response
+from acquire.rig_tools.exposure_series import take_exposures
+from process.calibration.camera.response import find_response
 from tui.cli import cli, run
 
 EXPOSURES_MS = (2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 24.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.light_on import clustered
-from process.calibration.uncertainty import camera_covariance
+from process.calibration.light_plane.edge_on_surface import clustered
+from process.calibration.light_plane.uncertainty import camera_covariance
 from tests.accuracy.uncertainty import COARSE, SMALL, figures
 
 

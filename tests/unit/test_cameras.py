@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from acquire.cameras.clock_check import OwnClock
 from acquire.cameras.free_running import FreeRunningCamera
-from acquire.cameras.own_clock import OwnClock
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
 from acquire.cameras.replay import ReplayCamera
 from acquire.cameras.uvc import UvcSource
-from acquire.contract.config_model import CameraConfig, RigConfig, StageConfig, SweepConfig
+from acquire.contract.config.model import CameraConfig, RigConfig, StageConfig, SweepConfig
 from acquire.contract.errors import ConfigError, ScanFileError, SweepscopeError
-from acquire.contract.messages import FrameFormat
-from acquire.rig import HostFiredRig, build_rig
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.rigs.base import HostFiredRig
+from acquire.rigs.build import build_rig
 from acquire.stages.protocol import Segment, SegmentDone
 
 SETTINGS = CameraSettings(10.0, 0.0, 0.0)
@@ -121,7 +122,7 @@ def test_a_source_that_ends_is_told_as_a_camera_that_is_gone(free):
 
 
 def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_shots(free, monkeypatch):
-    monkeypatch.setattr("acquire.cameras.reading.AGAIN_S", 0.01)
+    monkeypatch.setattr("acquire.cameras.reader_thread.AGAIN_S", 0.01)
     camera, source, events, _ = free
     camera.configure(CameraSettings(0.01, 0.0, 0.0))
     camera.arm()
@@ -136,7 +137,7 @@ def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_
 
 
 def test_a_shot_that_waited_when_the_source_went_away_gets_no_picture_of_later(free, monkeypatch):
-    monkeypatch.setattr("acquire.cameras.reading.AGAIN_S", 0.01)
+    monkeypatch.setattr("acquire.cameras.reader_thread.AGAIN_S", 0.01)
     camera, source, events, _ = free
     camera.configure(CameraSettings(0.01, 0.0, 0.0))
     camera.arm()

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from acquire.capture import write_png
+from acquire.activities.capture import write_png
 from acquire.contract.errors import CommandRefusedError, ScanFileError
 
 from .rig_in_process import RigInProcess
@@ -86,7 +86,7 @@ def test_another_specimen_lies_under_the_camera_and_the_one_before_can_come_back
 
 
 def test_a_real_rig_cannot_change_its_specimen(rig, monkeypatch):
-    from acquire.rig import Rig
+    from acquire.rigs.base import Rig
 
     monkeypatch.setattr(rig.daemon.rig, "specimen", Rig.specimen.__get__(rig.daemon.rig))
     with pytest.raises(CommandRefusedError, match="by hand"):

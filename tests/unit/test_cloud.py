@@ -9,9 +9,9 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.calibration import CameraModel, TranslatingPlane
-from process.cloud import VERTEX, Cloud, make_cloud, write_ply
-from process.geometry import plane_table, rays
-from process.replacing import ResultWriteError, replacing
+from process.atomic_write import ResultWriteError, replacing
+from process.cloud.cloud import VERTEX, Cloud, make_cloud, write_ply
+from process.cloud.triangulation import plane_table, rays
 
 CAMERA = CameraModel(
     width=4,

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from acquire.contract.codec import ProtocolMismatchError, decode, decode_as, encode
 from acquire.contract.errors import ProtocolError
-from acquire.contract.messages import (
+from acquire.contract.messaging.codec import ProtocolMismatchError, decode, decode_as, encode
+from acquire.contract.messaging.messages import (
     Ack,
     AckItem,
     Command,

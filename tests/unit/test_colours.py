@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from acquire.contract.colours import NO_VALUE_RGB, QUANTITY_MAP, coloured, table
+from acquire.contract.colormaps import NO_VALUE_RGB, QUANTITY_MAP, coloured, table
 
 
 @pytest.mark.parametrize("name", ["viridis", "cividis"])

@@ -7,8 +7,8 @@ import tomllib
 import msgspec
 import pytest
 
-from acquire.contract.config import find_config_file, key_docs, load_config
-from acquire.contract.config_model import RigConfig
+from acquire.contract.config.load import find_config_file, key_docs, load_config
+from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
 
 

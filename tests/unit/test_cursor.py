@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from process.cursor import FoldCursor
+from process.results.fold_cursor import FoldCursor
 
 
 class RecordingFold:

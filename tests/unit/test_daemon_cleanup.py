@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from acquire.cameras.protocol import CameraInfo, CameraSettings
-from acquire.contract.config import load_config
-from acquire.contract.messages import FrameFormat
-from acquire.daemon import Daemon
-from acquire.rig import Rig
+from acquire.contract.config.load import load_config
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.daemon.service import Daemon
+from acquire.rigs.base import Rig
 from acquire.stages.protocol import StageInfo, StageStatus
 
 STEPS = ("stage.stop", "camera.disarm", "stage.close", "camera.close")

@@ -7,15 +7,15 @@ import shutil
 import pytest
 
 from acquire.cameras.protocol import CameraGone, CameraInfo, CameraLostError, CameraSettings
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.states import Outcome, State
-from acquire.daemon import Daemon
-from acquire.events import WriterReady
-from acquire.requests import ScanRequest
-from acquire.rig import Rig
+from acquire.daemon.requests import ScanRequest
+from acquire.daemon.service import Daemon
+from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm, StageInfo, StageStatus
+from acquire.sweep.events import WriterReady
 
 NOW_NS = 10**15
 
@@ -105,8 +105,8 @@ def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(runni
 
 
 def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(daemon, monkeypatch):
-    from acquire import desk
-    from acquire.contract.messages import Command
+    from acquire.contract.messaging.messages import Command
+    from acquire.daemon import scan_commands as desk
 
     def fails(*_args):
         raise OSError(5, "Input/output error")

@@ -39,7 +39,7 @@ def test_moves_that_are_waited_for_end_where_they_must(rig, sweepscope):
 
 
 def test_a_move_that_is_stopped_while_it_is_waited_for_is_status_1(rig, sweepscope, monkeypatch):
-    import tui.wait
+    import tui.client.wait
 
     rig.ask("preview", on=True)
 
@@ -47,8 +47,8 @@ def test_a_move_that_is_stopped_while_it_is_waited_for_is_status_1(rig, sweepsco
         client.request("stop")
         return until_rest(client)
 
-    until_rest = tui.wait.until_rest
-    monkeypatch.setattr(tui.wait, "until_rest", stop_it)
+    until_rest = tui.client.wait.until_rest
+    monkeypatch.setattr(tui.client.wait, "until_rest", stop_it)
     monkeypatch.setattr(rig.daemon.rig.stage, "_time_scale", 1.0)
     status, _, complaint = sweepscope("goto", "4000", "--wait")
     assert status == 1 and "goto: the stage stopped at" in complaint and complaint.count("\n") == 1
@@ -102,10 +102,10 @@ def test_an_estimate_is_words_or_one_json_object(rig, sweepscope):
 
 
 def test_who_sits_at_a_terminal_asks_by_name(rig, sweepscope, monkeypatch):
-    monkeypatch.setattr("tui.who.terminal_name", lambda: "pts/7")
-    monkeypatch.setattr("tui.who.user_name", lambda: "anna")
+    monkeypatch.setattr("tui.client.client_name.terminal_name", lambda: "pts/7")
+    monkeypatch.setattr("tui.client.client_name.user_name", lambda: "anna")
     assert "anna on pts/7" in sweepscope("control", "take")[1]
     assert rig.status()["control"] == "anna on pts/7"
-    monkeypatch.setattr("tui.who.user_name", lambda: "ben")
+    monkeypatch.setattr("tui.client.client_name.user_name", lambda: "ben")
     assert "anna on pts/7 holds control" in sweepscope("home")[2]
     assert sweepscope("stop")[0] == 0

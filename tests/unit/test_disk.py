@@ -9,8 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from acquire.disk import DiskError, DiskFullError, disk_error, file_system_of, free_bytes, rename_new, reserve, write_at
-from acquire.disk_thread import DiskThread
+from acquire.writer.disk import (
+    DiskError,
+    DiskFullError,
+    disk_error,
+    file_system_of,
+    free_bytes,
+    rename_new,
+    reserve,
+    write_at,
+)
+from acquire.writer.disk_thread import DiskThread
 
 
 def test_a_reserved_file_owns_its_blocks(tmp_path: Path) -> None:

@@ -10,23 +10,16 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from acquire.contract.config import load_config
-from acquire.contract.config_model import CameraConfig, StageConfig
+from acquire.contract.config.load import load_config
+from acquire.contract.config.model import CameraConfig, StageConfig
 from acquire.contract.errors import NoServiceError
-from acquire.contract.messages import FaultReport, Status
+from acquire.contract.messaging.messages import FaultReport, Status
 from tests.fakes.sweep_source import calibration_json
-from tui.installing import host_checks
-from tui.installing.device_checks import check_camera, check_firmware, check_stage
-from tui.installing.doctor import (
-    KeyFacts,
-    check_calibration,
-    check_network,
-    check_services,
-    check_sockets,
-    examine,
-)
-from tui.installing.finding import Finding
-from tui.installing.host_checks import (
+from tui.install import host_checks
+from tui.install.device_checks import check_camera, check_firmware, check_stage
+from tui.install.doctor import KeyFacts, check_calibration, check_network, check_services, check_sockets, examine
+from tui.install.finding import Finding
+from tui.install.host_checks import (
     Login,
     check_clock,
     check_groups,

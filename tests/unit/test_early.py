@@ -8,24 +8,24 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from acquire.contract.messages import FrameFormat, Image, Start
-from acquire.contract.outcome import frame_crc32
+from acquire.contract.messaging.messages import FrameFormat, Image, Start
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.scan_file import create_scan
-from process.ahead import Ahead
-from process.crossings import full_scale
-from process.cursor import FoldCursor
-from process.estimates.columns import columns_of_stack
-from process.estimates.early import EarlyEstimates
-from process.estimates.noise import assumed_noise
-from process.estimates.refine import refine, starts
-from process.estimates.weighing import Sequence, Watch
-from process.fold import Fold
-from process.frames import ScanFrames
-from process.outputs import new_fold
-from process.reconstruct import recorded_in
-from process.settings import ReconstructOptions, settle
+from acquire.writer.scan_file import create_scan
+from process.crossings.maps import full_scale
+from process.edge_fit.early_estimates import EarlyEstimates
+from process.edge_fit.noise_model import assumed_noise
+from process.edge_fit.pixel_columns import columns_of_stack
+from process.edge_fit.refine import refine, starts
+from process.edge_fit.weighting import Sequence, Watch
+from process.fold.fold import Fold
+from process.results.fold_cursor import FoldCursor
+from process.results.reconstruct import recorded_in
+from process.results.scan_frames import ScanFrames
+from process.results.settings import ReconstructOptions, settle
+from process.results.write import new_fold
+from process.worker.fit_ahead import Ahead
 from tests.fakes.sweep_source import edge_frames
 
 FRAMES, SHAPE = 320, (24, 32)
@@ -100,7 +100,7 @@ def test_a_brighter_light_that_moves_the_crossing_makes_an_early_estimate_void()
 
 
 def test_the_table_of_early_estimates_is_bounded(monkeypatch):
-    monkeypatch.setattr("process.estimates.early.TABLE_BYTES", 10_000)
+    monkeypatch.setattr("process.edge_fit.early_estimates.TABLE_BYTES", 10_000)
     frames = a_sweep()
     early = worked_ahead(frames, "rising", range(40, FRAMES, 25))
     assert 0 < early.kept <= 10_000 // 100

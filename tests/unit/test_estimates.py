@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from process.estimates import refine as refining
-from process.estimates.bench import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
-from process.estimates.bound import crossing_bound
-from process.estimates.columns import columns_of_stack
-from process.estimates.filters import filtered
-from process.estimates.noise import NoiseModel, assumed_noise, model_from
-from process.estimates.refine import measure_noise, refine, starts
-from process.estimates.weighing import Sequence
-from process.fold import Fold
-from process.quality import Quality
+from process.bench.edge_fit import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
+from process.crossings.quality import Quality
+from process.edge_fit import refine as refining
+from process.edge_fit.cramer_rao import crossing_bound
+from process.edge_fit.filters import filtered
+from process.edge_fit.noise_model import NoiseModel, assumed_noise, model_from
+from process.edge_fit.pixel_columns import columns_of_stack
+from process.edge_fit.refine import measure_noise, refine, starts
+from process.edge_fit.weighting import Sequence
+from process.fold.fold import Fold
 
 NOISE = 2.0
 

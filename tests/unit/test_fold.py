@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from process.fold import Fold, to_grey
-from process.quality import Quality
+from process.crossings.quality import Quality
+from process.fold.fold import Fold, to_grey
 from tests.reference.two_pass import two_pass
 
 CHOSEN = {"contrast": 20, "median": 0, "noise_counts": 2.0}

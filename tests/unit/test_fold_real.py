@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from process.fold import Fold, to_grey
+from process.fold.fold import Fold, to_grey
 
 
 def test_the_real_scan_gives_the_known_counts_and_sum_of_crossings(real_scan):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import zmq
 
-from acquire.contract.lanes import Sender, bind, connect, receive
-from acquire.contract.messages import (
+from acquire.contract.messaging.lanes import Sender, bind, connect, receive
+from acquire.contract.messaging.messages import (
     Ack,
     AckItem,
     End,
@@ -21,11 +21,11 @@ from acquire.contract.messages import (
     Start,
     StartAck,
 )
-from acquire.contract.outcome import frame_crc32
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.events import Committed, Refused, Sealed, WriterReady
-from acquire.frame_lane import FrameLane
+from acquire.daemon.frame_sender import FrameLane
+from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
 
 PLAN = SweepPlan(first_steps=0, last_steps=30, steps_per_frame=3, um_per_microstep=3.175)
 START = Start(scan_uid="u", path="/x", format=FrameFormat(width=5, height=4, bit_depth=8), plan=PLAN)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquire.framing import LONGEST_ENCODED, Block, BlockReader, decode_block, encode_block
+from acquire.stages.uno.framing import LONGEST_ENCODED, Block, BlockReader, decode_block, encode_block
 
 blocks = st.builds(Block, st.integers(0, 255), st.integers(0, 255), st.binary(max_size=89))
 

@@ -9,7 +9,7 @@ import pytest
 
 _FAULTS = """
 import resource, sys
-from acquire.freed_memory import keep_freed_memory
+from acquire.writer.malloc_tuning import keep_freed_memory
 if not keep_freed_memory():
     sys.exit(77)
 def burst():

@@ -8,7 +8,7 @@ import pytest
 
 from acquire.contract.calibration import CameraModel, PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import CalibrationError
-from process.geometry import Hits, coordinates, intersect, plane_table, planes_at, rays
+from process.cloud.triangulation import Hits, coordinates, intersect, plane_table, planes_at, rays
 
 WIDTH, HEIGHT = 64, 48
 ROTATION = cv2.Rodrigues(np.array([np.pi - 0.05, 0.03, 0.02]))[0]

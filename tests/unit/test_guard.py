@@ -2,7 +2,7 @@ from http import HTTPStatus
 
 import pytest
 
-from process.viewer.guard import PASS, Gate, Visit, is_loopback
+from process.viewer.server.access_control import PASS, Gate, Visit, is_loopback
 
 
 @pytest.fixture

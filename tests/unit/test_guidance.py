@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
-from process.calibration.boards import Board
-from process.calibration.guidance import ENOUGH_VIEWS, GRID, SIDES, ViewFacts, guide, live_words, look
+from process.calibration.board.detection import Board
+from process.calibration.board.guidance import ENOUGH_VIEWS, GRID, SIDES, ViewFacts, guide, live_words, look
 
 BOARD = Board(16, 13, 0.3)
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from acquire.cameras.image_files import list_pictures
 from acquire.contract.errors import ScanFileError
-from acquire.contract.scan_reader import ScanReader
-from acquire.importing import import_folder, list_pictures
-from acquire.verify import verify
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.importing.folder import import_folder
+from acquire.writer.verify import verify
 
 RNG = np.random.default_rng(3)
 

@@ -12,12 +12,12 @@ import pytest
 
 from acquire.contract.errors import SweepscopeError
 from tests.fakes.fake_daemon import SWEEPING, FakeDaemon
-from tui.installing.install import Installer, Wishes
-from tui.installing.journal import journal_command, pack, without_home
-from tui.installing.machine import InstallError, point, run
-from tui.installing.places import Places, machine_places, user_places
-from tui.installing.uninstall import uninstall_steps
-from tui.installing.units import unit_text
+from tui.install.install import Installer, Wishes
+from tui.install.journal import journal_command, pack, without_home
+from tui.install.machine import InstallError, point, run
+from tui.install.paths import Places, machine_places, user_places
+from tui.install.uninstall import uninstall_steps
+from tui.install.units import unit_text
 
 SOURCE = Path(__file__).parents[2]
 DAEMON = (SOURCE / "systemd/system/sweepscope-daemon.service").read_text()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from acquire.cameras.protocol import CameraFrame
-from acquire.intake import Intake
-from acquire.shooting import Shooting
 from acquire.stages.protocol import Triggered
-from acquire.window import Window
+from acquire.sweep.credit_window import Window
+from acquire.sweep.frame_intake import Intake
+from acquire.sweep.progress import Shooting
 
 from .sweep_bench import MS, settings
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from acquire.contract.errors import CalibrationError
-from process.calibration import joint_search
-from process.calibration.poses import TELL_APART
+from process.calibration.board.poses import TELL_APART
+from process.calibration.light_plane import joint_search
 
 State = tuple[bool, bool]
 OWN, FIRST, SECOND, BOTH = (False, False), (True, False), (False, True), (True, True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import ConfigError
 from acquire.remote.addresses import parse_address
 from acquire.remote.keys import Allowed, allow, load_allowed, load_pair, make_pair, revoke, rig_folder

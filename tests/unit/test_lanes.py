@@ -13,8 +13,8 @@ import pytest
 import zmq
 from zmq.utils import garbage
 
-from acquire.contract.lanes import Received, Sender, bind, connect, receive, shared
-from acquire.contract.messages import Hello
+from acquire.contract.messaging.lanes import Received, Sender, bind, connect, receive, shared
+from acquire.contract.messaging.messages import Hello
 
 DEADLINE_S = 10.0
 LANES = ("frames", "live")

@@ -11,7 +11,7 @@ import tty
 
 import pytest
 
-from acquire.contract.config_model import StageConfig
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.legacy import LegacyStage
 from acquire.stages.protocol import Moved, Segment, SegmentDone, Stopped, Triggered

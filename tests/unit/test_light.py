@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.contract.layout import MARKS_NAME
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.scan_data.dataset_names import MARKS_NAME
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.scan_file import create_scan
-from process.reconstruct import reconstruct
-from process.settings import ReconstructOptions
+from acquire.writer.scan_file import create_scan
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 24

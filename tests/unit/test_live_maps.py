@@ -12,13 +12,13 @@ import zmq
 from zmq.utils.garbage import gc as zmq_garbage
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.lanes import bind
-from acquire.contract.messages import End
+from acquire.contract.messaging.lanes import bind
+from acquire.contract.messaging.messages import End
 from acquire.contract.states import Outcome
-from process import live_maps
-from process.announced import announced_by_start
-from process.outbox import Outbox
-from process.session import ScanSession
+from process.worker import live_maps
+from process.worker.publisher import Outbox
+from process.worker.scan_description import announced_by_start
+from process.worker.session import ScanSession
 from tests.fakes.sweep_source import Listener, SweepSource, edge_frames, wait_until
 
 FRAMES, WIDTH, HEIGHT = 30, 64, 48

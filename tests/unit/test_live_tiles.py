@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquire.contract.points import POINT
-from process.cloud import Cloud
-from process.live_tiles import MAX_TILES, LiveTiles, TileGrid
+from acquire.contract.messaging.point_record import POINT
+from process.cloud.cloud import Cloud
+from process.worker.live_tiles import MAX_TILES, LiveTiles, TileGrid
 
 WIDTH, HEIGHT = 200, 130
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from acquire.lockstep import Ledger, Spacing
+from acquire.sweep.pairing import Ledger, Spacing
 
 MS = 1_000_000
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import pytest
 import zmq
 
-from acquire.contract.lanes import bind
-from process import outbox as outbox_module
-from process.outbox import BEHIND_FRAMES, PREVIEW_BEHIND_NS, PREVIEW_LEAST_NS, REST, REST_BEHIND, Outbox
+from acquire.contract.messaging.lanes import bind
+from process.worker import publisher as outbox_module
+from process.worker.publisher import BEHIND_FRAMES, PREVIEW_BEHIND_NS, PREVIEW_LEAST_NS, REST, REST_BEHIND, Outbox
 
 COST_NS = PREVIEW_LEAST_NS
 QUICK_NS = PREVIEW_LEAST_NS // (2 * REST_BEHIND)

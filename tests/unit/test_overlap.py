@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquire.contract.simulation_config import SimulationConfig
-from acquire.overlap import Overlap, OverlapLimits, compare_overlap, overlap_picture
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
+from acquire.sweep.overlap_check import Overlap, OverlapLimits, compare_overlap, overlap_picture
 
 WIDTH, HEIGHT, PITCH, FRAME = 256, 192, 3, 240
 LIMITS = OverlapLimits(specimen_px=2.5 / 26.6)

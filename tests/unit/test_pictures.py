@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquire.contract.messages import FrameFormat
-from acquire.pictures import measure, reduce
+from acquire.activities.images import measure, reduce
+from acquire.contract.messaging.messages import FrameFormat
 
 
 def form(height, width, bit_depth=8, pixel_format="mono"):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from acquire.stages.emulator import TriggerEdge
+from acquire.rigs.twin import PairedEdges
 from acquire.stages.protocol import Triggered
-from acquire.twin import PairedEdges
+from acquire.stages.uno.emulator import TriggerEdge
 
 
 def test_a_folder_that_takes_no_record_is_no_obstacle(tmp_path):

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.contract.messages import Start
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.messaging.messages import Start
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.recover import recover
-from acquire.scan_file import ScanFile, create_scan
-from acquire.verify import verify
+from acquire.writer.recover import recover
+from acquire.writer.scan_file import ScanFile, create_scan
+from acquire.writer.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 24

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import zmq
 
-from acquire.contract.lanes import bind, connect, receive
-from acquire.contract.messages import FrameFormat, Picture
-from acquire.preview_lane import PreviewLane, View
+from acquire.activities.images import View
+from acquire.contract.messaging.lanes import bind, connect, receive
+from acquire.contract.messaging.messages import FrameFormat, Picture
+from acquire.daemon.preview_publisher import PreviewLane
 
 FORM = FrameFormat(width=64, height=48, bit_depth=8)
 SECOND = 1_000_000_000

@@ -7,9 +7,9 @@ import json
 import pytest
 
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
-from process.settings import ReconstructOptions, Recorded, settle
+from process.results.settings import ReconstructOptions, Recorded, settle
 from tests.fakes.sweep_source import calibration_json
 
 FORM = FrameFormat(width=64, height=48, bit_depth=8)

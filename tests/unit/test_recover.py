@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.layout import NO_SCAN_NAMES, OWNER_LOCK_NAME, FrameStatus
-from acquire.contract.places import FileLock
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import NO_SCAN_NAMES, OWNER_LOCK_NAME, FrameStatus
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.recover import Recovered, RecoverOptions, recover
-from acquire.scan_file import ScanFile, create_scan
+from acquire.writer.recover import Recovered, RecoverOptions, recover
+from acquire.writer.scan_file import ScanFile, create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
 from tui.cli import run
 
@@ -205,8 +205,9 @@ def killed_at(call: int, work: Callable[[], None]) -> bool:
 
 
 def _die_at_nth_disk_call(nth: int) -> None:
-    from acquire import disk, scan_file, scan_store
-    from acquire import recover as module
+    from acquire.writer import disk, scan_file
+    from acquire.writer import frame_store as scan_store
+    from acquire.writer import recover as module
 
     calls = []
 

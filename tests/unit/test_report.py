@@ -11,12 +11,11 @@ import pytest
 
 from acquire.contract.calibration import PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import ScanFileError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
-from process.cloud import Cloud
-from process.estimates.noise import NoiseModel
-from process.findings import NoiseFound, age_warning, calibration_used, noise_found, quality_warnings
-from process.report import (
+from process.cloud.cloud import Cloud
+from process.edge_fit.noise_model import NoiseModel
+from process.results.report import (
     Report,
     Speed,
     SweepChecks,
@@ -27,8 +26,9 @@ from process.report import (
     truth_errors,
     write_report,
 )
-from process.settings import ReconstructOptions, Recorded, Settings, settle
-from process.timings import Timings
+from process.results.report_findings import NoiseFound, age_warning, calibration_used, noise_found, quality_warnings
+from process.results.settings import ReconstructOptions, Recorded, Settings, settle
+from process.results.timings import Timings
 from tests.fakes.sweep_source import calibration_json
 
 PLAN = SweepPlan(0, 30, 3, 3.175)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from acquire.contract.errors import CalibrationError, CommandRefusedError
-from acquire.requests import REQUESTS, JogRequest, ScanRequest, parse_request
+from acquire.daemon.requests import REQUESTS, JogRequest, ScanRequest, parse_request
 
 
 def test_arguments_become_typed_structs():
@@ -36,7 +36,7 @@ def test_arguments_that_do_not_fit_are_refused_by_name(name, args):
 
 
 def test_every_command_has_a_method_at_the_desk():
-    from acquire.desk import Desk
+    from acquire.daemon.scan_commands import Desk
 
     assert all(callable(getattr(Desk, f"_{name}")) for name in REQUESTS)
 
@@ -45,10 +45,10 @@ def test_every_command_has_a_method_at_the_desk():
 def prepare(tmp_path):
     """Prepare a scan on a rig that knows no calibration of its own."""
     from acquire.cameras.protocol import CameraSettings
-    from acquire.contract.config import load_config
-    from acquire.contract.messages import FrameFormat
-    from acquire.preparing import prepare_scan
-    from acquire.rig import Rig
+    from acquire.contract.config.load import load_config
+    from acquire.contract.messaging.messages import FrameFormat
+    from acquire.daemon.scan_setup import prepare_scan
+    from acquire.rigs.base import Rig
 
     def call(request=ScanRequest(), **overrides):  # noqa: B008 - a frozen struct
         config = load_config(overrides={"storage.data_dir": str(tmp_path)} | overrides, environ={})
@@ -92,9 +92,9 @@ def test_a_disk_that_is_too_small_is_refused_with_needed_and_free(prepare, monke
 
 
 def test_a_window_that_holds_no_two_frames_is_refused():
-    from acquire.contract.config import load_config
-    from acquire.contract.messages import FrameFormat
-    from acquire.preparing import window_slots
+    from acquire.contract.config.load import load_config
+    from acquire.contract.messaging.messages import FrameFormat
+    from acquire.daemon.scan_setup import window_slots
 
     config = load_config(overrides={"limits.window_bytes": 1_000_000}, environ={})
     with pytest.raises(CommandRefusedError, match="window_bytes"):

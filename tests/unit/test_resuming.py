@@ -8,17 +8,17 @@ import msgspec
 import pytest
 
 from acquire.cameras.protocol import CameraInfo, CameraLostError, CameraSettings
-from acquire.contract.config import LoadedConfig, load_config
+from acquire.contract.config.load import LoadedConfig, load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.layout import OWNER_LOCK_NAME
-from acquire.contract.messages import FrameFormat
-from acquire.contract.places import FileLock
+from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.states import Outcome
-from acquire.daemon import Daemon
-from acquire.resuming import prepare_resume
-from acquire.rig import Rig
-from acquire.scan_file import create_scan
+from acquire.daemon.resume import prepare_resume
+from acquire.daemon.service import Daemon
+from acquire.rigs.base import Rig
 from acquire.stages.protocol import StageInfo, StageStatus
+from acquire.writer.scan_file import create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 SMALL = FrameFormat(width=16, height=16, bit_depth=8)
@@ -67,7 +67,7 @@ def test_a_stage_or_a_memory_that_is_set_otherwise_is_refused_and_the_scan_stays
     scan, changes, words, monkeypatch
 ):
     if "limits__window_bytes" in changes:
-        monkeypatch.setattr("acquire.preparing.slots_for", lambda *_args: 0)
+        monkeypatch.setattr("acquire.daemon.scan_setup.slots_for", lambda *_args: 0)
     with pytest.raises(CommandRefusedError, match=words):
         prepare_resume(scan, config(**changes), SMALL)
     assert_nobodys(scan)

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.layout import CREATING_PREFIX, FrameStatus
-from acquire.contract.messages import FrameFormat, Start
-from acquire.contract.scan_reader import ScanReader
+from acquire.contract.messaging.messages import FrameFormat, Start
+from acquire.contract.scan_data.dataset_names import CREATING_PREFIX, FrameStatus
+from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
-from acquire.disk import DiskError, DiskFullError
-from acquire.scan_create import creating_path
-from acquire.scan_file import ScanExistsError, ScanFile, ScanIncompleteError, create_scan
-from acquire.scan_store import FrameRefusedError
-from acquire.verify import verify
+from acquire.writer.create_file import creating_path
+from acquire.writer.disk import DiskError, DiskFullError
+from acquire.writer.frame_store import FrameRefusedError
+from acquire.writer.scan_file import ScanExistsError, ScanFile, ScanIncompleteError, create_scan
+from acquire.writer.verify import verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 6
@@ -142,9 +142,9 @@ def test_a_full_disk_is_found_before_anything_is_made(start: Start) -> None:
 def test_a_file_system_that_cannot_reserve_is_asked_for_its_free_space(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("acquire.scan_create.reserve", lambda *_: False)
+    monkeypatch.setattr("acquire.writer.create_file.reserve", lambda *_: False)
     create_scan(Path(start.path), start).close()
-    monkeypatch.setattr("acquire.scan_create.free_bytes", lambda _: 1000)
+    monkeypatch.setattr("acquire.writer.create_file.free_bytes", lambda _: 1000)
     with pytest.raises(DiskFullError):
         create_scan(Path(start.path).with_name("other"), start)
 

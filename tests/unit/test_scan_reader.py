@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.scan_layout import read_layout
-from acquire.contract.scan_reader import ScanReader
-from acquire.scan_file import create_scan
+from acquire.contract.scan_data.file_layout import read_layout
+from acquire.contract.scan_data.reader import ScanReader
+from acquire.writer.scan_file import create_scan
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 

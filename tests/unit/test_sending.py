@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from acquire.framing import Block
-from acquire.stages.sending import QUEUE_MAX, Command, SendWindow, Timing
-from acquire.stages.wire import WINDOW_MAX, AckBody, Cmd, Msg, ReportBody, Result
+from acquire.stages.uno.framing import Block
+from acquire.stages.uno.send_window import QUEUE_MAX, Command, SendWindow, Timing
+from acquire.stages.uno.wire_format import WINDOW_MAX, AckBody, Cmd, Msg, ReportBody, Result
 
 TIMING = Timing(resend_s=1.0, resend_max_s=2.0, gap_pause_s=0.1)
 

@@ -11,14 +11,14 @@ import h5py
 import numpy as np
 import pytest
 
-from acquire.contract.messages import End
+from acquire.contract.messaging.messages import End
 from acquire.contract.states import Outcome
-from process import session as session_module
-from process.announced import ScanRefusedError, announced_by_start
-from process.fold import Fold
-from process.reconstruct import reconstruct
-from process.session import SILENT_NS, ScanSession
-from process.settings import ReconstructOptions
+from process.fold.fold import Fold
+from process.results.reconstruct import reconstruct
+from process.results.settings import ReconstructOptions
+from process.worker import session as session_module
+from process.worker.scan_description import ScanRefusedError, announced_by_start
+from process.worker.session import SILENT_NS, ScanSession
 from tests.fakes.sweep_source import SweepSource, edge_frames
 
 FRAMES, WIDTH, HEIGHT = 30, 64, 48

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from acquire.cameras.protocol import CameraFrame
-from acquire.contract.config_model import RigConfig
+from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import SweepscopeError
-from acquire.rig import Rig
-from acquire.settling import DELAYS_MS, SettleMeasurement, propose_settle_ms
+from acquire.rig_tools.settle_time import DELAYS_MS, SettleMeasurement, propose_settle_ms
+from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm, SegmentDone, StageStatus
 
 
@@ -81,7 +81,7 @@ def test_lamp_and_devices_are_at_rest_afterwards():
 
 
 def test_a_camera_that_gives_no_picture_and_a_stage_that_stops_are_named():
-    from acquire.contract.config_model import CameraConfig
+    from acquire.contract.config.model import CameraConfig
 
     rig = ShakingRig(0, frames=False)
     with pytest.raises(SweepscopeError, match="no picture"):

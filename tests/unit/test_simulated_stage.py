@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from acquire.contract.config_model import StageConfig
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.stages.simulated import SimulatedStage

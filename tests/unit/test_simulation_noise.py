@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
 from acquire.simulation.noise import counter_bits, frame_key, normal_table
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from acquire.contract.simulation_config import SimulationConfig
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation.optics import lit_fraction, lit_interval, paper_camera, paper_projector
 
 UM_PER_MICROSTEP = 3.175

@@ -9,8 +9,8 @@ import pytest
 from numba import njit
 
 from acquire.contract.calibration import parse_calibration
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import ConfigError
-from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import DEFAULT_CAMERA, Renderer, build_scene, ideal_calibration, kernels, truth, write_truth
 from acquire.simulation.kernels import SOURCES_DIGEST
 from acquire.simulation.raycast import see_surfaces, visible_share

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import ConfigError
-from acquire.contract.simulation_config import SimulationConfig
 from acquire.simulation import Renderer, build_scene, ideal_calibration, truth
 
 CAMERA = {"exposure_ms": 30.0, "gain": 6.0, "brightness": 0.0}

@@ -6,11 +6,11 @@ from collections import namedtuple
 
 import pytest
 
-from acquire import preparing
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messages import FrameFormat
+from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
+from acquire.daemon import scan_setup as preparing
 
 Usage = namedtuple("Usage", "total used free")
 FORMAT = FrameFormat(width=1024, height=768, bit_depth=8, pixel_format="rgb")

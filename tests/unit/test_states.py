@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from acquire.contract.faults import FAULTS, in_one_line, report
-from acquire.contract.outcome import outcome_words, scan_digest
-from acquire.contract.states import TRANSITIONS, IllegalTransitionError, Outcome, State, transition
+from acquire.contract.scan_data.checksums import scan_digest
+from acquire.contract.states import TRANSITIONS, IllegalTransitionError, Outcome, State, outcome_words, transition
 from acquire.contract.units import format_bytes, format_duration
 
 

@@ -8,15 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from acquire.actions import RaiseFault
 from acquire.cameras.protocol import CameraGone
-from acquire.contract.messages import AckItem, EndAck, FrameFormat, Nack
+from acquire.contract.messaging.messages import AckItem, EndAck, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
-from acquire.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
-from acquire.overlap import OverlapLimits
-from acquire.phases import Phase
-from acquire.shooting import ResumeFrom
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
+from acquire.sweep.actions import RaiseFault
+from acquire.sweep.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
+from acquire.sweep.overlap_check import OverlapLimits
+from acquire.sweep.phases import Phase
+from acquire.sweep.settings import ResumeFrom
 
 from .sweep_bench import MS, Bench, bench, done, settings
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.messages import Start
+from acquire.contract.messaging.messages import Start
 from acquire.contract.states import Outcome
-from acquire.scan_file import ScanFile, create_scan
-from acquire.verify import in_words, info, verify
+from acquire.writer.scan_file import ScanFile, create_scan
+from acquire.writer.verify import in_words, info, verify
 from tests.fakes.frames import image_of, pixels_of, start_of
 
 COUNT = 5

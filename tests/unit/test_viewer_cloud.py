@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from process.viewer import cloud as cloud_module
-from process.viewer.cloud import MAX_NODES, SMALL_NS, Cloud
-from process.viewer.courier import LEAST_STEP_BYTES, STEP_NS, Courier
-from process.viewer.feed import TileNews
-from process.viewer.look import Look
-from process.viewer.tiles import Bounds, Tile
+from process.viewer.rig_client.feed import TileNews
+from process.viewer.rig_client.tile import Bounds, Tile
+from process.viewer.stream import point_nodes as cloud_module
+from process.viewer.stream.browser_stream import LEAST_STEP_BYTES, STEP_NS, Courier
+from process.viewer.stream.colouring import Look
+from process.viewer.stream.point_nodes import MAX_NODES, SMALL_NS, Cloud
 
 
 class Browser:

@@ -13,15 +13,15 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.messages import ResultEnd
-from process.viewer.cloud import Cloud
-from process.viewer.exports import View, page_html, ply_bytes
-from process.viewer.feed import Snapshot, TileNews
-from process.viewer.figure import figure_png
-from process.viewer.files import on_black, report_of
-from process.viewer.library import list_scans, open_scan
-from process.viewer.look import Look
-from process.viewer.tiles import Tile
+from acquire.contract.messaging.messages import ResultEnd
+from process.viewer.exports.exports import View, page_html, ply_bytes
+from process.viewer.exports.figure import figure_png
+from process.viewer.exports.files import on_black, report_of
+from process.viewer.exports.results_list import list_scans, open_scan
+from process.viewer.rig_client.feed import Snapshot, TileNews
+from process.viewer.rig_client.tile import Tile
+from process.viewer.stream.colouring import Look
+from process.viewer.stream.point_nodes import Cloud
 from tests.fakes.fake_results import hill_tiles
 
 
@@ -160,7 +160,7 @@ def test_the_points_of_a_finished_scan_are_picked_from_its_file_which_knows_thei
 
 
 def _panel(data_dir: Path) -> Any:
-    from process.viewer.scans_panel import ScansPanel
+    from process.viewer.panels.scans_panel import ScansPanel
 
     def widget(*_: Any, **__: Any) -> Any:
         return SimpleNamespace(

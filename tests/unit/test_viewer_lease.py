@@ -1,5 +1,5 @@
-from acquire.contract.messages import Status
-from process.viewer.lease import RENEW_NS, Lease
+from acquire.contract.messaging.messages import Status
+from process.viewer.rig_client.lease import RENEW_NS, Lease
 
 
 def held_by(name: str) -> Status:

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
-from acquire.contract.colours import table
-from process.viewer.look import (
+from acquire.contract.colormaps import table
+from process.viewer.markup import legend_html
+from process.viewer.rig_client.tile import Tile
+from process.viewer.stream.colouring import (
     PROVISIONAL_RGB,
     Look,
     Range,
@@ -13,8 +15,6 @@ from process.viewer.look import (
     legend_of,
     values_of,
 )
-from process.viewer.markup import legend_html
-from process.viewer.tiles import Tile
 
 
 def tile(xyz: np.ndarray, *, provisional: object = False, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Tile:

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from process.viewer.picking import Distance, Picked, Ray, measurements_csv, pick, profile, quality_words
-from process.viewer.tiles import Bounds, Tile
+from process.viewer.panels.picking import Distance, Picked, Ray, measurements_csv, pick, profile, quality_words
+from process.viewer.rig_client.tile import Bounds, Tile
 
 DOWN = Ray((0.0, 0.0, 50.0), (0.0, 0.0, -2.0), 0.001)
 

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from acquire.contract.calibration import Calibration, parse_calibration
-from acquire.contract.messages import Status
+from acquire.contract.messaging.messages import Status
 from acquire.contract.plan import SweepPlan
-from process.viewer.framing import ECHO_NS, Framing, Pose, overview
-from process.viewer.rig_marks import travel_of
-from process.viewer.scene import CalibrationBook, nice_length_mm
-from process.viewer.sketch import box_edges, field_of_view, light_at, sheet
-from process.viewer.tiles import Bounds
+from process.viewer.rig_client.tile import Bounds
+from process.viewer.scene.camera_views import ECHO_NS, Framing, Pose, overview
+from process.viewer.scene.polylines import box_edges, field_of_view, light_at, sheet
+from process.viewer.scene.rig_marks import travel_of
+from process.viewer.scene.scene import CalibrationBook, nice_length_mm
 
 BOX = Bounds((-5.0, -4.0, 0.0), (5.0, 4.0, 3.0))
 PLAN = SweepPlan(first_steps=0, last_steps=300, steps_per_frame=3, um_per_microstep=3.175)
@@ -158,7 +158,7 @@ def test_the_edges_of_a_box_are_twelve() -> None:
 
 
 def _viewer(framing: Framing, clock: Still) -> Any:
-    from process.viewer.framing import _Viewer
+    from process.viewer.scene.camera_views import _Viewer
 
     return _Viewer(overview(framing._bounds), clock.now_ns())
 

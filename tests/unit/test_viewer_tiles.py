@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.messages import ResultTiles, TileHeader
-from acquire.contract.points import POINT
-from process.viewer.tiles import Bounds, Tile, bounds_of, merged, parse_tiles, power_of_two
+from acquire.contract.messaging.messages import ResultTiles, TileHeader
+from acquire.contract.messaging.point_record import POINT
+from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, parse_tiles, power_of_two
 
 
 def message(*headers: TileHeader) -> ResultTiles:

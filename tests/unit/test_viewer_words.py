@@ -1,11 +1,11 @@
 import pytest
 
 from acquire.contract.faults import report
-from acquire.contract.messages import ResultProgress, Status
+from acquire.contract.messaging.messages import ResultProgress, Status
 from acquire.contract.units import NS_PER_S
-from process.viewer.feed import Peer, Snapshot
 from process.viewer.markup import Picture, panel_html
-from process.viewer.words import STATES, allowed, heading, remarks, saved_line, scan_name
+from process.viewer.rig_client.feed import Peer, Snapshot
+from process.viewer.status_text import STATES, allowed, heading, remarks, saved_line, scan_name
 
 NOW_NS = 1000 * NS_PER_S
 HERE = Peer(connected=True, heard_ns=NOW_NS, changed_ns=NOW_NS - 60 * NS_PER_S)

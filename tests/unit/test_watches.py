@@ -7,12 +7,12 @@ import pytest
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
 from acquire.cameras.scripted_faults import ScriptedFaults, parse_script
-from acquire.contract.config import load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.errors import ConfigError
 from acquire.contract.units import NS_PER_S
-from acquire.lamp_watch import LampWatch
+from acquire.daemon.clock_watch import TimeWatch
 from acquire.simulation import Renderer, build_scene
-from acquire.time_watch import TimeWatch
+from acquire.sweep.light_monitor import LampWatch
 
 COUNT = 132
 

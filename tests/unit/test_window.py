@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from acquire.contract.messages import AckItem, Image
-from acquire.window import Window, indices_of, ranges_of, slots_for
+from acquire.contract.frame_ranges import indices_of, ranges_of
+from acquire.contract.messaging.messages import AckItem, Image
+from acquire.sweep.credit_window import Window, slots_for
 
 PIXELS = np.zeros((4, 5), np.uint8)
 

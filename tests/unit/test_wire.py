@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.stages import wire
+from acquire.stages.uno import wire_format as wire
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 HEADER = (FIRMWARE / "protocol.h").read_text(encoding="utf-8")

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import zmq
 
-from acquire.contract.config import load_config
-from process import worker as worker_module
-from process.worker import FILE_WAIT_MS, Worker
+from acquire.contract.config.load import load_config
+from process.worker import service as worker_module
+from process.worker.service import FILE_WAIT_MS, Worker
 
 
 class BehindScan:

@@ -12,9 +12,9 @@ import click
 from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
-    from acquire.contract.messages import Status
-    from tui.installing.doctor import KeyFacts
-    from tui.installing.places import Places
+    from acquire.contract.messaging.messages import Status
+    from tui.install.doctor import KeyFacts
+    from tui.install.paths import Places
 
 _user = click.option("--user", is_flag=True, help="For yourself only, without root.")
 _dry_run = click.option("--dry-run", is_flag=True, help="Show each step and do nothing.")
@@ -46,8 +46,8 @@ def install(
     import os
     import shutil
 
-    from tui.installing.install import Installer, Wishes
-    from tui.installing.machine import systemd_runs
+    from tui.install.install import Installer, Wishes
+    from tui.install.machine import systemd_runs
 
     places = _places(user, dry_run)
     settings = _settings(places, stage, port, camera, data_dir, ask=not dry_run)
@@ -71,7 +71,7 @@ def install(
 @_dry_run
 def uninstall(user: bool, dry_run: bool) -> None:
     """Remove the services; scans and their configuration stay."""
-    from tui.installing.uninstall import uninstall_steps
+    from tui.install.uninstall import uninstall_steps
 
     places = _places(user, dry_run)
     steps = uninstall_steps(places, click.echo)
@@ -91,8 +91,8 @@ def _show_steps(steps: list[str]) -> None:
 def _places(user: bool, dry_run: bool) -> Places:
     import os
 
-    from tui.installing.machine import InstallError
-    from tui.installing.places import machine_places, user_places
+    from tui.install.machine import InstallError
+    from tui.install.paths import machine_places, user_places
 
     if not user and os.getuid() != 0 and not dry_run:
         raise InstallError("installing for the machine needs root: use sudo, or --user for yourself only")
@@ -100,7 +100,7 @@ def _places(user: bool, dry_run: bool) -> Places:
 
 
 def _source() -> Path:
-    from tui.installing.machine import InstallError
+    from tui.install.machine import InstallError
 
     here = Path(__file__).resolve().parents[2]
     if not (here / "systemd/system").is_dir():
@@ -114,7 +114,7 @@ def _settings(
     """rig.toml of a first installation; what no flag says is asked at a terminal."""
     import sys
 
-    from tui.installing.device_checks import cameras, serial_ports
+    from tui.install.device_checks import cameras, serial_ports
 
     ports = serial_ports()
     if ask and sys.stdin.isatty() and not places.config.exists():
@@ -139,7 +139,7 @@ def _settings(
 @click.pass_obj
 def doctor(session: Session, as_json: bool) -> int:
     """Check what people get wrong, and say the mend."""
-    from tui.installing.doctor import examine
+    from tui.install.doctor import examine
 
     findings = list(examine(session.config(), lambda: _status(session), _key_facts(session)))
     if as_json:
@@ -152,7 +152,7 @@ def doctor(session: Session, as_json: bool) -> int:
 
 def _key_facts(session: Session) -> KeyFacts:
     from acquire.remote.keys import SERVER_KEY_NAME, load_allowed, rig_folder
-    from tui.installing.doctor import KeyFacts
+    from tui.install.doctor import KeyFacts
 
     folder = rig_folder(session.config())
     return KeyFacts(folder / SERVER_KEY_NAME, lambda: len(load_allowed(folder)))
@@ -175,7 +175,7 @@ def logs(service: str | None, scan_uid: str | None, lines: int, follow: bool, as
     """Show what the services logged."""
     import subprocess
 
-    from tui.installing.journal import journal_command
+    from tui.install.journal import journal_command
 
     command = journal_command(
         service=service or "", scan_uid=scan_uid or "", lines=lines, follow=follow, as_json=as_json
@@ -191,8 +191,8 @@ def report(session: Session, target: Path, with_bench: bool) -> None:
     """Pack what a maintainer would ask for.
 
     Versions, configuration, the last logs and what the doctor says go into TARGET; no picture, map or cloud does."""
-    from tui.installing.doctor import examine
-    from tui.installing.journal import as_text, last_logs, pack, versions, without_home
+    from tui.install.doctor import examine
+    from tui.install.journal import as_text, last_logs, pack, versions, without_home
 
     config = session.config()
     from tui.commands.context import plain
@@ -204,7 +204,7 @@ def report(session: Session, target: Path, with_bench: bool) -> None:
         "logs.txt": last_logs(),
     }
     if with_bench:
-        from process.bench import bench_fold
+        from process.bench.fold import bench_fold
 
         texts["bench.json"] = as_text(plain(bench_fold((768, 1024), 100)))
     homes = [str(Path.home())]

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from acquire.contract.config import LoadedConfig
-    from tui.client import RigClient
+    from acquire.contract.config.load import LoadedConfig
+    from tui.client.rig_client import RigClient
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -47,16 +47,16 @@ class Session:
 
     def config(self) -> LoadedConfig:
         """The effective configuration (raises ConfigError)."""
-        from acquire.contract.config import load_config
+        from acquire.contract.config.load import load_config
 
         return load_config(self.config_path)
 
     @contextmanager
     def client(self) -> Iterator[RigClient]:
         """A client of the running daemon, here or far away (raises NoServiceError)."""
-        from acquire.contract.places import client_run_dir
-        from tui.client import RigClient
-        from tui.who import my_name_at_a_terminal
+        from acquire.contract.run_dir import client_run_dir
+        from tui.client.client_name import my_name_at_a_terminal
+        from tui.client.rig_client import RigClient
 
         timeout_s = self.config().rig.limits.command_s
         with self.tunnel() as far_dir:
@@ -90,7 +90,7 @@ class Session:
 
     def service_run_dir(self) -> Path:
         """The directory of the services' sockets, made if it is not there."""
-        from acquire.contract.places import prepare_run_dir, service_run_dir
+        from acquire.contract.run_dir import prepare_run_dir, service_run_dir
 
         return prepare_run_dir(service_run_dir())
 

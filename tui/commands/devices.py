@@ -12,7 +12,7 @@ from tui.commands.context import Session, json_option, print_json
 from tui.commands.remote import far_options
 
 if TYPE_CHECKING:
-    from tui.client import RigClient
+    from tui.client.rig_client import RigClient
 
 _wait = click.option("--wait", is_flag=True, help="Return when it is done; exit status 1 if it was not.")
 _SETTINGS = ("exposure_ms", "gain", "brightness_percent")
@@ -21,7 +21,7 @@ _SETTINGS = ("exposure_ms", "gain", "brightness_percent")
 def _move(session: Session, name: str, *, wait: bool, as_json: bool, args: dict[str, Any]) -> None:
     """Ask for a move; with ``wait`` see it end where it must."""
     from acquire.contract.errors import SweepscopeError
-    from tui.wait import until_rest
+    from tui.client.wait import until_rest
 
     with session.client() as client:
         result = client.request(name, **args).result
@@ -146,7 +146,7 @@ def camera_set(session: Session, settings: dict[str, float], as_json: bool) -> N
 def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """Begin an activity; with ``wait`` see it end well. Returns the reply and the last status."""
     from acquire.contract.errors import SweepscopeError
-    from tui.wait import until_rest
+    from tui.client.wait import until_rest
 
     failed = "activities_failed"
     before = client.request("status").result["counters"].get(failed, 0)

@@ -13,7 +13,7 @@ from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
 from tui.commands.context import Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
-    from process.reconstruct import Summary
+    from process.results.reconstruct import Summary
 
 _SCAN = click.argument("scan", type=click.Path(path_type=Path))
 
@@ -29,7 +29,7 @@ def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | N
 
     png, bmp, jpg and tif are taken in natural order of their names. A projector.txt of the original program beside
     them tells the travel per frame."""
-    from acquire.importing import import_folder
+    from acquire.importing.folder import import_folder
 
     summary = import_folder(frames_dir, target, force=force, um_per_frame=um_per_frame)
     print_json(summary) if as_json else click.echo(summary.words())
@@ -48,9 +48,9 @@ def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | N
 @json_option
 def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: object) -> int:
     """Turn a scan into maps and a coloured point cloud."""
-    from process.calibration.matching import matching
-    from process.reconstruct import reconstruct as run
-    from process.settings import ReconstructOptions
+    from process.calibration.light_plane.refit import matching
+    from process.results.reconstruct import reconstruct as run
+    from process.results.settings import ReconstructOptions
 
     asked = ReconstructOptions(**options)  # type: ignore[arg-type]
     matched = matching(scan, asked, lambda text: click.echo(text, err=True))
@@ -65,8 +65,8 @@ def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: objec
 @click.option("--out", type=click.Path(path_type=Path), help="File to write [report.html beside the results].")
 def page(scan: Path, results: Path | None, out: Path | None) -> None:
     """Show a scan and what was made of it on one page, which opens in any browser without a network."""
-    from process.page.page import verdict, write_page
-    from process.page.results import read_results
+    from process.results.page.html import verdict, write_page
+    from process.results.page.load import read_results
 
     found = read_results(scan, results)
     target = out or (results or found.layout.path.parent) / "report.html"
@@ -106,7 +106,7 @@ def _show_words(summary: Summary) -> None:
 @json_option
 def verify(scan: Path, as_json: bool, with_progress: bool) -> int:
     """Read a whole scan and check every frame."""
-    from acquire.verify import verify as run
+    from acquire.writer.verify import verify as run
 
     report = run(scan, progress_printer(with_progress))
     print_json(report.as_dict()) if as_json else click.echo("\n".join(report.words()))
@@ -120,7 +120,7 @@ def verify(scan: Path, as_json: bool, with_progress: bool) -> int:
 @json_option
 def info(scan: Path, as_json: bool) -> None:
     """Say what a scan holds."""
-    from acquire.verify import info as run
+    from acquire.writer.verify import info as run
 
     facts = run(scan)
     print_json(facts) if as_json else click.echo("\n".join(facts.words()))
@@ -138,8 +138,8 @@ def recover(session: Session, where: Path | None, seal: bool, compact: bool, beg
 
     DIR is a folder of scans [storage.data_dir] or one scan. Every committed frame is verified; a scan that was
     interrupted is marked so and can be resumed. A sweep that runs is never touched."""
-    from acquire.recover import RecoverOptions
-    from acquire.recover import recover as run
+    from acquire.writer.recover import RecoverOptions
+    from acquire.writer.recover import recover as run
 
     if where is not None and not where.exists():
         raise ScanFileError(f"{where} does not exist: give a folder of scans, or one scan")

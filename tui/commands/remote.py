@@ -112,7 +112,7 @@ def gateway(session: Session, configured: bool) -> int:
     The address stands in rig.toml (network.host, network.port); see 'sweepscope keys'."""
     if configured:
         return 0 if session.config().rig.network.host else 1
-    from tui.lifeline import follow_parent
+    from tui.processes.parent_watch import follow_parent
 
     follow_parent()
     session.log_as("gateway")

@@ -19,7 +19,7 @@ from tui.commands.remote import far_options
 @click.pass_obj
 def status(session: Session, as_json: bool) -> None:
     """Say what the rig is doing."""
-    from tui.words import status_lines
+    from tui.text.status_text import status_lines
 
     with session.client() as client:
         now = client.status()
@@ -90,8 +90,8 @@ def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> in
 
 def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: Any) -> int:
     """Start a sweep by ``command`` and follow it where that is asked for; returns the exit status."""
-    from tui.follow import Narrator, exit_status_of, follow_scan
-    from tui.words import outcome_line
+    from tui.client.follow import Narrator, exit_status_of, follow_scan
+    from tui.text.status_text import outcome_line
 
     with session.client() as client:
         result = client.request(command, **args).result

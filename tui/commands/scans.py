@@ -12,7 +12,7 @@ import click
 from tui.commands.context import Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
-    from tui.scans import ScanEntry
+    from tui.scans.folder import ScanEntry
 
 _path = click.Path(path_type=Path)
 _SCAN = click.argument("scan", type=_path)
@@ -25,7 +25,7 @@ _SCAN = click.argument("scan", type=_path)
 def scans(session: Session, where: Path | None, as_json: bool) -> None:
     """List the scans in DIR [storage.data_dir], the newest first."""
     from acquire.contract.errors import ScanFileError
-    from tui.scans import ScanFolder
+    from tui.scans.folder import ScanFolder
 
     if where is not None and not where.is_dir():
         raise ScanFileError(f"{where} is not a folder: give a folder of scans")
@@ -75,9 +75,9 @@ def notes(scan: Path, as_json: bool, **wanted: Any) -> None:
     The scan itself is never changed: notes go into notes.json beside it."""
     import msgspec
 
-    from acquire.contract.notes import notes_of, write_notes
-    from acquire.contract.scan_layout import read_layout
-    from tui.scans import held, scan_folder
+    from acquire.contract.scan_data.file_layout import read_layout
+    from acquire.contract.scan_data.notes import notes_of, write_notes
+    from tui.scans.folder import held, scan_folder
 
     folder = scan_folder(scan)
     found = notes_of(folder, read_layout(folder).user)
@@ -103,8 +103,8 @@ def copy(scan: Path, dest: Path, with_progress: bool, as_json: bool) -> None:
 
     Every file is read back from the other disk and compared by its sha256; the scan is marked as copied, and the copy
     holds SHA256SUMS for 'sha256sum -c'."""
-    from tui.scan_copies import copy_scan
-    from tui.scans import held, scan_folder
+    from tui.scans.copies import copy_scan
+    from tui.scans.folder import held, scan_folder
 
     folder = scan_folder(scan)
     with held(folder):
@@ -121,8 +121,8 @@ def trash(session: Session, scan: Path, yes: bool, as_json: bool) -> None:
     """Move a scan to the folder .trash beside the scans.
 
     Nothing is erased: empty that folder by hand when the room is needed."""
-    from tui.scans import scan_folder
-    from tui.trash import trash_scan
+    from tui.scans.folder import scan_folder
+    from tui.scans.trash import trash_scan
 
     folder = scan_folder(scan)
     if not yes:

@@ -13,7 +13,7 @@ from tui.commands.remote import far_options
 
 
 def _lifeline() -> None:
-    from tui.lifeline import follow_parent
+    from tui.processes.parent_watch import follow_parent
 
     follow_parent()
 
@@ -24,7 +24,7 @@ def daemon(session: Session) -> None:
     """Own motor, camera and lamp, and run sweeps."""
     _lifeline()
     session.log_as("daemon")
-    from acquire.daemon import run_daemon
+    from acquire.daemon.service import run_daemon
 
     run_daemon(session.config(), session.service_run_dir())
 
@@ -35,7 +35,7 @@ def writer(session: Session) -> None:
     """Write frames into the scan file."""
     _lifeline()
     session.log_as("writer")
-    from acquire.writer import run_writer
+    from acquire.writer.service import run_writer
 
     run_writer(session.config(), session.service_run_dir())
 
@@ -46,7 +46,7 @@ def worker(session: Session) -> None:
     """Turn frames into maps and a point cloud while they arrive."""
     _lifeline()
     session.log_as("worker")
-    from process.worker import run_worker
+    from process.worker.service import run_worker
 
     run_worker(session.config(), session.service_run_dir())
 
@@ -93,13 +93,13 @@ def console(
     Closing it never touches a sweep: come back at any time."""
     if context.invoked_subcommand is not None:
         return 0
-    from tui.terminal import choose_colours, picture_mode, require_terminal
+    from tui.console.terminal import choose_colours, picture_mode, require_terminal
 
     require_terminal("the console")
     config = context.obj.config()  # an unusable rig.toml is told before the screen is taken
     settled = choose_colours(colours)
-    from tui.app import run_console
-    from tui.console_options import options_for
+    from tui.console.app import run_console
+    from tui.console.start_options import options_for
 
     options = options_for(
         config,
@@ -116,10 +116,10 @@ def console(
 @console.command()
 def doctor() -> int:
     """Look at this terminal and its link, and say what to mend."""
-    from tui.terminal import require_terminal
+    from tui.console.terminal import require_terminal
 
     require_terminal("the console's doctor")
-    from tui.console_doctor import examine
+    from tui.console.doctor import examine
 
     return 1 if examine(click.echo) else 0
 
@@ -130,7 +130,7 @@ def up(session: Session) -> int:
     """Run the four services until Ctrl-C.
 
     Daemon, writer, worker and viewer; one that dies is started again."""
-    from tui.up import run_up
+    from tui.processes.all_services import run_up
 
     return run_up(session.config(), session.config_path, session.service_run_dir())
 
@@ -159,8 +159,8 @@ def demo(
     On a terminal the console opens and the sweep starts at once; without one progress is printed. Scans go to
     ./demo-data. No configuration file is read and no hardware is touched.
     """
-    from tui.demo import run_demo
-    from tui.demo_rig import DemoOptions
+    from tui.demo.rig import DemoOptions
+    from tui.demo.run import run_demo
 
     options = DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir, twin=twin)
     return run_demo(options)

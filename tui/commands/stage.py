@@ -21,8 +21,8 @@ def check(session: Session, port: str | None) -> int:
     """Check each wire: moves the stage by 100 microsteps, asks, and says what it saw. Home the stage afterwards."""
     import msgspec
 
-    from acquire.stages.check import StageCheck
-    from acquire.stages.uno import UnoStage
+    from acquire.stages.uno.stage import UnoStage
+    from acquire.stages.wiring_check import StageCheck
 
     config = session.config().rig.stage
     if port is not None:
@@ -39,8 +39,8 @@ def settle(session: Session, position_steps: int | None, as_json: bool) -> None:
     """Measure how long the picture needs to come to rest after a step, and propose stage.settle_ms."""
     import msgspec
 
-    from acquire.rig import build_rig
-    from acquire.settling import SettleMeasurement
+    from acquire.rig_tools.settle_time import SettleMeasurement
+    from acquire.rigs.build import build_rig
 
     rig = session.config().rig
     if position_steps is None:

@@ -36,7 +36,7 @@ def bench() -> None:
 
 
 def _size(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, int]:
-    from tui.sizes import parse_size
+    from tui.text.sizes import parse_size
 
     try:
         return parse_size(value)
@@ -54,7 +54,7 @@ _pixels = click.option("--size", metavar="WxH", default="1024x768", show_default
 @json_option
 def fold(frames: int, size: tuple[int, int], as_json: bool) -> None:
     """Fold a synthetic sweep frame by frame."""
-    from process.bench import bench_fold
+    from process.bench.fold import bench_fold
 
     _show(bench_fold((size[1], size[0]), frames), as_json)
 
@@ -66,7 +66,7 @@ def fold(frames: int, size: tuple[int, int], as_json: bool) -> None:
 @json_option
 def pipeline(frames: int, size: tuple[int, int], pictures: bool, as_json: bool) -> None:
     """Push a synthetic sweep through real writer and worker processes."""
-    from acquire.bench_pipeline import bench_pipeline
+    from acquire.bench.pipeline import bench_pipeline
 
     _show(bench_pipeline(frames, (size[1], size[0]), pictures=pictures), as_json)
 
@@ -76,7 +76,7 @@ def pipeline(frames: int, size: tuple[int, int], pictures: bool, as_json: bool) 
 @json_option
 def stage(frames: int, as_json: bool) -> None:
     """Measure the stage's firmware and serial link in the emulator (needs the AVR tools)."""
-    from acquire.bench_stage import bench_stage
+    from acquire.bench.stage import bench_stage
 
     _show(bench_stage(frames), as_json)
 
@@ -90,7 +90,7 @@ def stage(frames: int, as_json: bool) -> None:
 @json_option
 def estimates(pixels: int, speed: bool, clipped: bool, as_json: bool) -> None:
     """Compare the crossing estimates with the Cramer-Rao bound; prints the table of docs/accuracy.md."""
-    from process.estimates.bench import bench_clipped, bench_estimates, bench_fit_speed, markdown
+    from process.bench.edge_fit import bench_clipped, bench_estimates, bench_fit_speed, markdown
 
     if speed:
         _show(bench_fit_speed(), as_json)
@@ -108,7 +108,7 @@ def estimates(pixels: int, speed: bool, clipped: bool, as_json: bool) -> None:
 @json_option
 def bench_of_console(columns: int, rows: int, as_json: bool) -> None:
     """Measure the console in tmux during a sweep, and on a stuck and a slow line (takes two minutes)."""
-    from tui.bench_console import bench_console
+    from tui.bench.console import bench_console
 
     _show(bench_console((columns, rows)), as_json)
 
@@ -135,8 +135,8 @@ def version(as_json: bool) -> None:
     """Print the versions of program, protocol and file layout."""
     from importlib.metadata import version as installed
 
-    from acquire.contract.layout import LAYOUT_VERSION
-    from acquire.contract.messages import PROTOCOL
+    from acquire.contract.messaging.messages import PROTOCOL
+    from acquire.contract.scan_data.dataset_names import LAYOUT_VERSION
 
     facts = {"program": installed("sweepscope"), "protocol": list(PROTOCOL), "layout": LAYOUT_VERSION}
     if as_json:

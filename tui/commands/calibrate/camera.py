@@ -14,7 +14,7 @@ from tui.commands.calibrate.options import PATH, board_of, force_option, size_op
 from tui.commands.context import json_option, print_json
 
 if TYPE_CHECKING:
-    from process.calibration.camera import CameraResult
+    from process.calibration.camera.calibrate import CameraResult
 
 SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
 
@@ -75,9 +75,9 @@ def camera(
     """Calibrate the camera from pictures of a board in different tilts.
 
     IMAGES are files or folders. Views that hurt are left out, with the reason."""
-    from process.calibration.camera import calibrate_camera
-    from process.calibration.documents import new_document, write_document
-    from process.calibration.pages import camera_page, write_page
+    from process.calibration.calibration_file import new_document, write_document
+    from process.calibration.camera.calibrate import calibrate_camera
+    from process.calibration.report_page import camera_page, write_page
 
     name = Path(stage).name if stage else None
     result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name, corners)

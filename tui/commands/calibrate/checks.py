@@ -15,18 +15,18 @@ from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration, TranslatingPlane
-    from acquire.contract.config_model import CheckConfig
-    from process.calibration.check import CheckResult, Repeatability
-    from process.calibration.spheres import Sphere
-    from process.calibration.sweeps import FoldedSweep
+    from acquire.contract.config.model import CheckConfig
+    from process.calibration.check.planarity import CheckResult, Repeatability
+    from process.calibration.check.spheres import Sphere
+    from process.calibration.light_plane.sweeps import FoldedSweep
 
 
 def _checked(
     scan: Path, calibration_file: Path, squares: tuple[int, int] | None, square_mm: float | None
 ) -> CheckResult:
     """A sweep over the board, or over a flat where no board is described, against a calibration."""
-    from process.calibration.check import check_surface
-    from process.calibration.surfaces import board_surface, flat_surface
+    from process.calibration.check.planarity import check_surface
+    from process.calibration.light_plane.surfaces import board_surface, flat_surface
 
     sweep, found, plane = _folded(scan, calibration_file)
     if squares is None or square_mm is None:
@@ -37,7 +37,7 @@ def _checked(
 def _folded(scan: Path, calibration_file: Path) -> tuple[FoldedSweep, Calibration, TranslatingPlane]:
     """A sweep, folded as a calibration's light plane was, and both."""
     from acquire.contract.calibration import TranslatingPlane, check_size, load_calibration
-    from process.calibration.sweeps import fold_sweep
+    from process.calibration.light_plane.sweeps import fold_sweep
 
     found = load_calibration(calibration_file)[0]
     plane = found.light_plane
@@ -75,7 +75,7 @@ def check(
 
     Board and flat: flatness, and with the board offset and scale. Spheres: probing errors and sphere-spacing error
     (VDI/VDE 2634 part 2). Passed or failed against [check] in rig.toml."""
-    from process.calibration.verdict import of_repeat, of_spheres, of_surface
+    from process.calibration.check.verdict import of_repeat, of_spheres, of_surface
 
     limits = _limits(session, limit_um)
     if sphere_mm:
@@ -109,8 +109,8 @@ def _limits(session: Session, limit_um: float | None) -> CheckConfig:
 
 
 def _spheres(sweep: FoldedSweep, found: Calibration, plane: TranslatingPlane) -> tuple[list[str], list[Sphere]]:
-    from process.calibration.check import cloud_of
-    from process.calibration.spheres import find_spheres
+    from process.calibration.check.planarity import cloud_of
+    from process.calibration.check.spheres import find_spheres
 
     spheres = find_spheres(cloud_of(sweep, found.camera, plane))
     words = [
@@ -122,7 +122,7 @@ def _spheres(sweep: FoldedSweep, found: Calibration, plane: TranslatingPlane) ->
 
 
 def _repeated(scan: Path, again: Path, calibration_file: Path) -> Repeatability:
-    from process.calibration.check import cloud_of, repeatability
+    from process.calibration.check.planarity import cloud_of, repeatability
 
     clouds = []
     for which in (scan, again):
@@ -149,8 +149,8 @@ def rezero(
     as_json: bool,
 ) -> None:
     """Move a light plane after homing: one sweep over the board lying anyhow."""
-    from process.calibration.documents import read_document, utc_now, write_document
-    from process.calibration.recipe import rezeroed
+    from process.calibration.calibration_file import read_document, utc_now, write_document
+    from process.calibration.light_plane.recipe import rezeroed
 
     result = _checked(scan, calibration_file, squares, square_mm)
     document = rezeroed(read_document(calibration_file), result.shift_t)

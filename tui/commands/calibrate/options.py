@@ -12,7 +12,7 @@ import click
 from acquire.contract.errors import CalibrationError
 
 if TYPE_CHECKING:
-    from process.calibration.boards import Board
+    from process.calibration.board.detection import Board
 
 PATH = click.Path(path_type=Path)
 METHODS = click.Choice(["linear", "probit", "fit", "auto"])
@@ -22,7 +22,7 @@ force_option = click.option("--force", is_flag=True, help="Replace an existing f
 
 def size_option(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
     """``CxR`` as two numbers; a callback of click."""
-    from tui.sizes import parse_size
+    from tui.text.sizes import parse_size
 
     if value is None:
         return None
@@ -38,7 +38,7 @@ def board_of(squares: tuple[int, int], pitch_mm: float, kind: str = "chessboard"
     Raises:
         CalibrationError: too few squares, or no size.
     """
-    from process.calibration.boards import Board
+    from process.calibration.board.detection import Board
 
     if min(squares) < 3 or pitch_mm <= 0:
         raise CalibrationError("a board has at least 3 x 3 squares of a positive size: see --squares, --square-mm")

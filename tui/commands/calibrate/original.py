@@ -23,8 +23,8 @@ def import_original(
     calibration_txt: Path, projector: Path | None, size: tuple[int, int], out: Path, force: bool, as_json: bool
 ) -> None:
     """Convert files of the original program to calibration.json; points come out the same."""
-    from process.calibration.documents import new_document, write_document
-    from process.calibration.original import light_plane, read_calibration_txt, read_projector_txt
+    from process.calibration.calibration_file import new_document, write_document
+    from process.calibration.original_program import light_plane, read_calibration_txt, read_projector_txt
 
     original = read_calibration_txt(calibration_txt)
     plane_fields = None if projector is None else light_plane(original, read_projector_txt(projector))

@@ -15,7 +15,7 @@ from tui.commands.calibrate.options import EDGES, METHODS, PATH, board_of, force
 from tui.commands.context import json_option, print_json
 
 if TYPE_CHECKING:
-    from process.calibration.plane_sweep import PlaneResult
+    from process.calibration.light_plane.from_sweeps import PlaneResult
 
 
 @click.command()
@@ -50,9 +50,9 @@ def plane(
     SCANS show the board: once lying flat, and tilted by 10 to 20 degrees both ways (a small board needs both). Light
     and corners together tell the poses, and say how well points will be known. A surface that contradicts the others
     by more than 1 um fails; --force writes the calibration all the same."""
-    from process.calibration.documents import read_document, write_document
-    from process.calibration.pages import plane_page, write_page
-    from process.calibration.recipe import SweepRecipe, make_plane, with_plane
+    from process.calibration.calibration_file import read_document, write_document
+    from process.calibration.light_plane.recipe import SweepRecipe, make_plane, with_plane
+    from process.calibration.report_page import plane_page, write_page
 
     if not scans or squares is None or square_mm is None:
         raise CalibrationError("name sweeps over the board, with --squares and --square-mm: flats alone cannot do")
@@ -89,8 +89,8 @@ def _absolute(paths: tuple[Path, ...]) -> tuple[str, ...]:
 @json_option
 def refit(calibration: Path, method: str, out: Path, force: bool, as_json: bool) -> None:
     """Make a light plane again from its own stored sweeps, with another estimate of the crossings."""
-    from process.calibration.documents import read_document, write_document
-    from process.calibration.recipe import refit as make_again
+    from process.calibration.calibration_file import read_document, write_document
+    from process.calibration.light_plane.recipe import refit as make_again
 
     made = make_again(read_document(calibration), method)
     write_document(out, made.document, force=force)
@@ -152,11 +152,11 @@ def reference_planes_command(
     The planes' file holds {"reference_planes": {"marker_rectangle_mm": [w, h], NAME: {"marker_corners_px": 4 x [x, y],
     "image_region_px": [left, right, top, bottom]}, NAME: ...}}."""
     from acquire.contract.calibration import check_size, load_calibration
-    from process.calibration.documents import read_document, write_document
-    from process.calibration.reference_planes import fit_reference_planes, read_planes
-    from process.calibration.reference_uncertainty import camera_sd
-    from process.calibration.sweeps import fold_sweep
-    from process.calibration.uncertainty import camera_covariance
+    from process.calibration.calibration_file import read_document, write_document
+    from process.calibration.light_plane.sweeps import fold_sweep
+    from process.calibration.light_plane.uncertainty import camera_covariance
+    from process.calibration.reference_planes.calibrate import fit_reference_planes, read_planes
+    from process.calibration.reference_planes.uncertainty import camera_sd
 
     found = load_calibration(camera_file)[0]
     known = read_planes(planes_file, found.camera)

@@ -15,8 +15,8 @@ from tui.commands.context import json_option, print_json
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration
-    from process.calibration.comparing import Difference
-    from process.calibration.quarter_circle import QuarterCircle
+    from process.calibration.light_plane.compare import Difference
+    from process.calibration.quarter_circle.calibrate import QuarterCircle
 
 
 DAYS = 30.0
@@ -53,10 +53,10 @@ def quarter_circle(
     The corner, both straight edges and the arc are found in every frame. Points given by hand are the fall-back:
     corner in two frames or more, lead_end (end of the leading edge) and side_end (end of the other one)."""
     from acquire.contract.calibration import load_calibration
-    from acquire.contract.scan_layout import read_layout
-    from process.calibration.documents import read_document, utc_now, write_document
-    from process.calibration.pages import quarter_circle_page, write_page
-    from process.calibration.slide_optics import Slide
+    from acquire.contract.scan_data.file_layout import read_layout
+    from process.calibration.calibration_file import read_document, utc_now, write_document
+    from process.calibration.quarter_circle.optics import Slide
+    from process.calibration.report_page import quarter_circle_page, write_page
 
     if min(hs_mm, focal_mm, xb_mm) <= 0:
         raise CalibrationError("the sizes of the slide are positive: see --hs-mm, --focal-mm, --xb-mm")
@@ -78,9 +78,9 @@ def quarter_circle(
 
 
 def _found(scan: Path, known: Calibration, slide: object, points: Path | None, height_mm: float) -> QuarterCircle:
-    from process.calibration.clicks import plane_from_clicks, read_clicks
-    from process.calibration.quarter_circle import find_quarter_circle
-    from process.calibration.sweeps import sweep_coordinate
+    from process.calibration.light_plane.sweeps import sweep_coordinate
+    from process.calibration.quarter_circle.calibrate import find_quarter_circle
+    from process.calibration.quarter_circle.clicks import plane_from_clicks, read_clicks
 
     if points is None:
         return find_quarter_circle(scan, known.camera, slide, height_mm=height_mm)  # type: ignore[arg-type]
@@ -94,7 +94,7 @@ def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, n
     import msgspec
 
     from acquire.contract.calibration import TranslatingPlane
-    from process.calibration.comparing import difference
+    from process.calibration.light_plane.compare import difference
 
     if not isinstance(other.light_plane, TranslatingPlane):
         if named:

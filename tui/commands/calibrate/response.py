@@ -34,7 +34,7 @@ def response(
     """Check that the camera is linear, with pictures of one scene at several exposures.
 
     FOLDER holds them, with the exposure in each name ("white-12.5ms.png") or in exposures.csv (name,ms)."""
-    from process.calibration.response import find_response
+    from process.calibration.camera.response import find_response
 
     if from_rig == (folder is not None):
         raise click.UsageError("name a folder of pictures, or --rig")
@@ -84,8 +84,8 @@ def _table(path: Path) -> dict[str, float]:
 
 
 def _from_rig(session: Session, exposures: str | None) -> tuple[list[tuple[float, Any]], int]:
-    from acquire.exposures import take_exposures
-    from acquire.rig import build_rig
+    from acquire.rig_tools.exposure_series import take_exposures
+    from acquire.rigs.build import build_rig
 
     config = session.config().rig
     try:

@@ -13,8 +13,8 @@ from tui.commands.calibrate.options import PATH, board_of, size_option
 from tui.commands.context import Session, json_option, print_json
 
 if TYPE_CHECKING:
-    from process.calibration.boards import Board
-    from process.calibration.guidance import ViewFacts
+    from process.calibration.board.detection import Board
+    from process.calibration.board.guidance import ViewFacts
 
 MOST_AT_ONCE = 100
 PAUSE_S = 0.2
@@ -81,7 +81,7 @@ class Views:
     def _read(self, path: Path) -> ViewFacts:
         import cv2
 
-        from process.calibration.guidance import ViewFacts, look
+        from process.calibration.board.guidance import ViewFacts, look
 
         pixels = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
         if pixels is None:
@@ -90,7 +90,7 @@ class Views:
 
     def facts(self, live: ViewFacts | None) -> dict[str, Any]:
         """Everything that a screen shows."""
-        from process.calibration.guidance import guide, live_words
+        from process.calibration.board.guidance import guide, live_words
 
         views = list(self._known.values())
         found = guide(views)
@@ -115,10 +115,10 @@ def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
     import numpy as np
     import zmq
 
-    from acquire.contract.lanes import arrived, connect
-    from acquire.contract.messages import Picture
-    from acquire.contract.places import client_run_dir
-    from process.calibration.guidance import look
+    from acquire.contract.messaging.lanes import arrived, connect
+    from acquire.contract.messaging.messages import Picture
+    from acquire.contract.run_dir import client_run_dir
+    from process.calibration.board.guidance import look
 
     context: zmq.Context[Any] = zmq.Context()
     socket = connect(context, zmq.SUB, client_run_dir(), "preview")

@@ -1,0 +1,1 @@
+"""What the rig does while no sweep runs: preview, exposure search, pre-scan, jog, capture."""

@@ -1,0 +1,132 @@
+"""Finds the exposure with which the brightest of what the camera sees lies just below full scale; then it stays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Final
+
+from acquire.cameras.protocol import CameraFrame
+
+from .base import Activity
+from .images import measure
+
+TARGET: Final = 0.85
+"""Where the 99.9th percentile shall lie, as a share of full scale."""
+CLOSE_ENOUGH: Final = 0.03
+LEAST: Final = 0.4
+"""Below this share at the longest exposure the pictures are too dark to be worth taking."""
+SATURATED: Final = 0.985
+DARK: Final = 0.02
+"""Less than so much above black says nothing of how bright it would be at a longer exposure."""
+MOST_PICTURES: Final = 12
+_LONGER, _SHORTER = 8.0, 0.35
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do after a picture."""
+
+    exposure_ms: float
+    done: bool = False
+    complaint: str = ""
+    """Why there is no good exposure, in words; empty where there may be one."""
+
+
+def advise(exposure_ms: float, high: float, black: float, bounds_ms: tuple[float, float]) -> Advice:
+    """The next exposure after a picture taken at ``exposure_ms``.
+
+    Args:
+        exposure_ms: with which the picture was taken, within the bounds.
+        high: its 99.9th percentile as a share of full scale.
+        black: the black level as a share of full scale.
+        bounds_ms: shortest and longest exposure.
+    """
+    shortest, longest = bounds_ms
+    if abs(high - TARGET) <= CLOSE_ENOUGH:
+        return Advice(exposure_ms, done=True)
+    if high >= SATURATED and exposure_ms <= shortest:
+        complaint = f"saturated even at the shortest exposure, {shortest:g} ms: lower the gain, or dim the lamp"
+        return Advice(exposure_ms, done=True, complaint=complaint)
+    if high < TARGET and exposure_ms >= longest:
+        return _at_longest(longest, high)
+    if high >= SATURATED:
+        factor = _SHORTER
+    elif high - black < DARK:
+        factor = _LONGER
+    else:
+        factor = (TARGET - black) / (high - black)
+    return Advice(min(max(exposure_ms * factor, shortest), longest))
+
+
+def _at_longest(longest_ms: float, high: float) -> Advice:
+    if high >= LEAST:
+        return Advice(longest_ms, done=True)
+    return Advice(
+        longest_ms,
+        done=True,
+        complaint=f"too dark even at the longest exposure, {longest_ms:g} ms (the brightest reach {100 * high:.0f} % "
+        "of full scale): bring the light over the specimen, raise the gain, or lower sweep.max_rate_hz",
+    )
+
+
+class ExposureSearch(Activity):
+    """Takes pictures with one exposure after the other; fails by putting the first one back."""
+
+    name: ClassVar[str] = "exposure"
+    snaps: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        *,
+        snap: Callable[[int], None],
+        expose: Callable[[float], float],
+        exposure_ms: float,
+        black: float,
+        bit_depth: int,
+        bounds_ms: tuple[float, float],
+    ) -> None:
+        """``expose`` sets an exposure in ms and returns the one that the camera really uses."""
+        super().__init__()
+        self._snap, self._expose = snap, expose
+        self._before_ms = exposure_ms
+        self._exposure_ms = min(max(exposure_ms, bounds_ms[0]), bounds_ms[1])
+        self._black, self._bit_depth, self._bounds = black, bit_depth, bounds_ms
+        self._pictures = 0
+
+    def begin(self, now_ns: int) -> None:
+        """The first picture is taken with the exposure as it is."""
+        self._look(self._exposure_ms, now_ns)
+
+    def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
+        """Judge the picture; look again, or be done."""
+        high = measure(frame.pixels, self._bit_depth).high / 255
+        advice = advise(self._exposure_ms, high, self._black, self._bounds)
+        self._pictures += 1
+        self.share = self._pictures / MOST_PICTURES
+        if advice.complaint:
+            self._fail(advice.complaint)
+        elif advice.done:
+            self.end(f"{self._exposure_ms:.3g} ms, the brightest at {100 * high:.0f} % of full scale; locked")
+        elif self._pictures >= MOST_PICTURES:
+            self._fail(f"not found in {MOST_PICTURES} pictures: does the light change?")
+        else:
+            self._look(advice.exposure_ms, now_ns)
+
+    def on_no_frame(self, now_ns: int) -> None:
+        """Nothing was learned."""
+        self._fail("no usable picture came from the camera: is it connected?")
+
+    def cancel(self) -> None:
+        """The exposure is as it was."""
+        self._expose(self._before_ms)
+
+    def _look(self, exposure_ms: float, now_ns: int) -> None:
+        used_ms = self._expose(exposure_ms)
+        # a camera that rounds still knows its bounds: one that was asked for counts as reached
+        self._exposure_ms = exposure_ms if exposure_ms in self._bounds else used_ms
+        self._snap(now_ns)
+
+    def _fail(self, words: str) -> None:
+        self.cancel()
+        self.end(f"{words}; it is {self._before_ms:g} ms as before", failed=True)

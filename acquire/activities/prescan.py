@@ -1,0 +1,108 @@
+"""A quick look at every n-th position of a sweep, and what it proposes. Nothing of it is taken over by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import ClassVar, Final
+
+from acquire.cameras.protocol import CameraFrame
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.messaging.messages import FrameFormat, Proposal
+from acquire.stages.protocol import Moved, Stage
+
+from .base import Activity, Rest
+from .images import measure, reduce
+from .prescan_analysis import Looks
+
+MOST_LOOKS: Final = 200
+"""Looks are kept in memory until the last one."""
+FRAMES_PER_LOOK: Final = 20
+
+
+def look_positions(first_steps: int, last_steps: int, every_steps: int | None, steps_per_frame: int) -> list[int]:
+    """Positions of the looks, both ends included; without ``every_steps`` twenty frames apart, or more if need be.
+
+    Raises:
+        CommandRefusedError: too many looks.
+    """
+    distance = abs(last_steps - first_steps)
+    least = -(-distance // (MOST_LOOKS - 1))
+    every = every_steps or max(FRAMES_PER_LOOK * steps_per_frame, least)
+    if every < least:
+        raise CommandRefusedError(f"a pre-scan makes at most {MOST_LOOKS} looks: use every_steps of {least} or more")
+    step = every if last_steps >= first_steps else -every
+    positions = list(range(first_steps, last_steps, step))
+    return [*positions, last_steps]
+
+
+class Prescan(Activity):
+    """Moves, settles, looks; one position after the other, by the light of the lamp."""
+
+    name: ClassVar[str] = "prescan"
+    moves: ClassVar[bool] = True
+    snaps: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        positions: Sequence[int],
+        *,
+        stage: Stage,
+        snap: Callable[[int], None],
+        frame_format: FrameFormat,
+        settle_ns: int,
+        warm_up_ns: int,
+        conclude: Callable[[Looks], tuple[Proposal, int]],
+        keep: Callable[[Proposal], None],
+    ) -> None:
+        """``conclude`` turns all looks into the proposal that ``keep`` takes, and says where most is lit."""
+        super().__init__()
+        self._positions = positions
+        self._stage, self._snap, self._format = stage, snap, frame_format
+        self._settle_ns, self._warm_up_ns = settle_ns, warm_up_ns
+        self._conclude, self._keep = conclude, keep
+        self._looks = Looks()
+        self._warm_ns: int | None = None
+        self._look_ns: int | None = None
+
+    def begin(self, now_ns: int) -> None:
+        """Go to the first position while the lamp warms up."""
+        self._warm_ns = now_ns + self._warm_up_ns
+        self._stage.move_to(self._positions[0])
+
+    def on_rest(self, event: Rest, now_ns: int) -> None:
+        """Arrived: let it settle."""
+        here = self._positions[len(self._looks.positions)]
+        if not isinstance(event, Moved) or event.position_steps != here:
+            self.end(f"the stage stopped at {event.position_steps} microsteps", failed=True)
+        else:
+            self._look_ns = max(now_ns + self._settle_ns, self._warm_ns or 0)
+
+    def on_tick(self, now_ns: int) -> None:
+        """It has settled, and the light is steady: look."""
+        if self._look_ns is not None and now_ns >= self._look_ns:
+            self._look_ns = None
+            self._snap(now_ns)
+
+    def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
+        """Keep the look and go on to the next, or conclude."""
+        brightness = measure(frame.pixels, self._format.bit_depth)
+        here = self._positions[len(self._looks.positions)]
+        small = reduce(frame.pixels, self._format)
+        self._looks.add(here, small, brightness.high / 255, brightness.full_scale_share)
+        done = len(self._looks.positions)
+        self.share = done / len(self._positions)
+        if done < len(self._positions):
+            self._stage.move_to(self._positions[done])
+            return
+        proposal, brightest = self._conclude(self._looks)
+        self._keep(proposal)
+        warned = f"; {proposal.warnings[0]}" if proposal.warnings else ""
+        self.end(
+            f"proposes {proposal.first_steps} to {proposal.last_steps}, {proposal.frames} frames, "
+            f"{proposal.exposure_ms:.3g} ms; most of the specimen is lit at {brightest}{warned}"
+        )
+
+    def on_no_frame(self, now_ns: int) -> None:
+        """Nothing is proposed from half of the looks."""
+        done, count = len(self._looks.positions), len(self._positions)
+        self.end(f"no usable picture came at look {done + 1} of {count}: is the camera connected?", failed=True)

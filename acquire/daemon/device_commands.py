@@ -1,0 +1,130 @@
+"""The part of the front desk that serves stage, lamp, camera, preview and control; what would harm is refused in words.
+
+Everything here happens beside no sweep: a running one refuses all of it but the stop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from acquire.activities.runner import refuse_while_busy
+from acquire.cameras.protocol import CameraSettings
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.states import State
+
+from .requests import CameraRequest, ControlRequest, GotoRequest, JogRequest, LampRequest, NoArguments, PreviewRequest
+
+if TYPE_CHECKING:
+    from .service import Daemon
+
+Result = dict[str, Any]
+_UNITS = {"exposure_ms": " ms", "gain": " dB", "brightness_percent": " %"}
+
+
+class RigDesk:
+    """Serves commands to the devices. Each method returns what the reply carries or raises why it was refused."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self._daemon = daemon
+        self._client = ""
+
+    def _need_rest(self, what: str) -> None:
+        """The rig rests, or only previews."""
+        daemon = self._daemon
+        if daemon.scan is not None:
+            raise CommandRefusedError(f"cannot {what}: a scan is running; stop it first")
+        refuse_while_busy(daemon.interlude, what)
+        if daemon.board.state is State.FAULT:
+            raise CommandRefusedError(f"cannot {what}: the rig is in fault; read it, mend its cause, acknowledge it")
+        if daemon.board.state not in (State.IDLE, State.PREVIEW):
+            raise CommandRefusedError(f"cannot {what}: the rig is {daemon.board.state}; wait, or stop it")
+
+    # ---- the stage ----
+
+    def _goto(self, request: GotoRequest) -> Result:
+        self._need_rest("move")
+        self._check_travel(request.position_steps)
+        return self._move(request.position_steps)
+
+    def _jog(self, request: JogRequest) -> Result:
+        """Clipped at the soft limits, and says so."""
+        self._need_rest("move")
+        here = self._daemon.rig.stage.status().position_steps
+        wanted = here + request.steps
+        target, limit = self._within_travel(wanted)
+        if target == here and target != wanted:
+            raise CommandRefusedError(f"cannot move: the stage is at {limit} already")
+        return self._move(target) | ({"clipped": limit} if target != wanted else {})
+
+    def _move(self, position_steps: int) -> Result:
+        self._daemon.rig.stage.move_to(position_steps)
+        self._daemon.interlude.moving(State.MOVING)
+        return {"target_steps": position_steps}
+
+    def _home(self, request: NoArguments) -> Result:
+        self._need_rest("home")
+        self._daemon.rig.stage.home()
+        self._daemon.interlude.moving(State.HOMING)
+        return {}
+
+    def _zero(self, request: NoArguments) -> Result:
+        self._need_rest("zero")
+        self._daemon.rig.stage.zero_here()
+        return {}
+
+    def _within_travel(self, position_steps: int) -> tuple[int, str]:
+        """The nearest position within the soft limits, and the limit's name; untrusted positions have no limits."""
+        stage = self._daemon.config.rig.stage
+        if not self._daemon.rig.stage.status().position_trusted:
+            return position_steps, ""
+        if position_steps > stage.travel_max_steps:
+            return stage.travel_max_steps, f"the soft limit stage.travel_max_steps = {stage.travel_max_steps}"
+        if position_steps < stage.travel_min_steps:
+            return stage.travel_min_steps, f"the soft limit stage.travel_min_steps = {stage.travel_min_steps}"
+        return position_steps, ""
+
+    def _check_travel(self, position_steps: int) -> None:
+        nearest, limit = self._within_travel(position_steps)
+        if nearest != position_steps:
+            raise CommandRefusedError(f"cannot move to {position_steps}: it is outside the travel, beyond {limit}")
+
+    # ---- the lamp and the camera ----
+
+    def _lamp(self, request: LampRequest) -> Result:
+        self._need_rest("switch the lamp")
+        self._daemon.rig.set_lamp(on=request.on)
+        return {"on": request.on}
+
+    def _camera(self, request: CameraRequest) -> Result:
+        self._need_rest("change the camera's settings")
+        wanted = {name: value for name, value in msgspec.structs.asdict(request).items() if value is not None}
+        for name, value in wanted.items():
+            self._check_setting(name, value)
+        merged = msgspec.structs.asdict(self._daemon.settings) | wanted
+        self._daemon.settings = self._daemon.rig.camera.configure(CameraSettings(**merged))
+        return dict(msgspec.structs.asdict(self._daemon.settings))
+
+    def _check_setting(self, name: str, value: float) -> None:
+        low, high = self._daemon.camera_info.limits.get(name, (float("-inf"), float("inf")))
+        if not low <= value <= high:
+            raise CommandRefusedError(f"{name} {value:g} is outside the camera's {low:g}..{high:g}{_UNITS[name]}")
+
+    # ---- the preview ----
+
+    def _preview(self, request: PreviewRequest) -> Result:
+        daemon = self._daemon
+        if daemon.scan is not None:
+            raise CommandRefusedError("cannot preview: a scan is running, and its pictures are shown already")
+        if daemon.board.state is State.FAULT:
+            raise CommandRefusedError("cannot preview: the rig is in fault; read it, mend its cause, acknowledge it")
+        daemon.interlude.set_preview(on=request.on, rate_hz=request.rate_hz)
+        return {"on": request.on, "rate_hz": request.rate_hz}
+
+    # ---- control ----
+
+    def _control(self, request: ControlRequest) -> Result:
+        now_ns = self._daemon.clock.now_ns()
+        self._daemon.control.change(request.action, self._client, now_ns)
+        return {"holder": self._daemon.control.holder(now_ns)}

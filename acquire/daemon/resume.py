@@ -1,0 +1,137 @@
+"""Goes on with an interrupted sweep: everything comes from its file, and the rig must prove that it is still there."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from acquire.cameras.protocol import CameraSettings
+from acquire.contract.calibration import parse_calibration
+from acquire.contract.config.load import LoadedConfig
+from acquire.contract.config.model import StageConfig
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.messaging.messages import FrameFormat, Start
+from acquire.contract.plan import SweepPlan
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME
+from acquire.contract.scan_data.file_layout import ScanLayout
+from acquire.contract.scan_data.reader import ScanReader, read_marks
+from acquire.contract.units import UM_PER_MM
+from acquire.sweep.overlap_check import OverlapLimits
+from acquire.sweep.settings import ResumeFrom
+
+from .scan_setup import PreparedScan, check_travel, sweep_settings, window_slots
+
+SPECIMEN_LIMIT_UM = 2.5
+"""A specimen that moved further is another one; converted to pixels where the calibration knows their size."""
+
+
+def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) -> tuple[PreparedScan, CameraSettings]:
+    """What it takes to go on with ``scan``, and the camera settings that it was begun with.
+
+    Raises:
+        ScanFileError: no scan, or damaged.
+        CommandRefusedError: sealed already, nothing committed, or a camera or a stage that is set otherwise.
+        AlreadyRunningError: somebody owns the scan.
+    """
+    with ScanReader(scan) as reader:
+        layout = reader.layout
+        plan = _plan_to_go_on_with(layout, frame_format)
+        _check_stage(plan, config.rig.stage)
+        lock = FileLock(layout.path.parent / OWNER_LOCK_NAME, "this scan")
+        with released_on_failure(lock):
+            start = _start_again(layout, plan)
+            settings = replace(sweep_settings(config, start), resume=_resume_from(reader))
+            slots = window_slots(config, frame_format)
+            camera = _camera_settings(layout, plan, config)
+    return PreparedScan(start, settings, slots, layout.path.parent, lock, ()), camera
+
+
+@contextmanager
+def released_on_failure(lock: FileLock) -> Iterator[None]:
+    """A scan that does not go on is nobody's: else it would be in use by us until we end."""
+    try:
+        yield
+    except BaseException:
+        lock.release()
+        raise
+
+
+def _check_stage(plan: SweepPlan, stage: StageConfig) -> None:
+    if plan.um_per_microstep != stage.um_per_microstep:
+        raise CommandRefusedError(
+            f"the scan was taken with {plan.um_per_microstep:g} um per microstep, the stage is set to "
+            f"{stage.um_per_microstep:g}: set stage.um_per_microstep as it was"
+        )
+    check_travel(plan, stage)
+
+
+def _plan_to_go_on_with(layout: ScanLayout, frame_format: FrameFormat) -> SweepPlan:
+    if layout.path.name != PARTIAL_NAME:
+        raise CommandRefusedError(f"{layout.path} is closed for good: there is nothing to resume")
+    if layout.plan is None:
+        raise CommandRefusedError(f"{layout.path} has no plan: it did not come from a sweep")
+    if layout.format != frame_format:
+        raise CommandRefusedError(
+            f"the scan has {layout.format.width} x {layout.format.height} {layout.format.pixel_format} of "
+            f"{layout.format.bit_depth} bit, the camera {frame_format.width} x {frame_format.height} "
+            f"{frame_format.pixel_format} of {frame_format.bit_depth} bit: set the camera as it was"
+        )
+    return layout.plan
+
+
+def _resume_from(reader: ScanReader) -> ResumeFrom:
+    last = _frame_to_compare(reader)
+    if last < 0:
+        raise CommandRefusedError(f"{reader.layout.path} holds no frame yet: start a new scan")
+    before = reader.frame(last - 1) if last > 0 and reader.present()[last - 1] else None
+    marks = read_marks(reader.layout.path.parent)
+    return ResumeFrom(last, reader.frame(last), before, reader.frame(0), _limits(reader.layout), marks)
+
+
+def _frame_to_compare(reader: ScanReader) -> int:
+    """The last committed frame that has a neighbour before it: without one a shift of the stage cannot be seen."""
+    present = reader.present()[: reader.committed_through() + 1]
+    neighboured = np.flatnonzero(present[1:] & present[:-1]) + 1
+    alone = np.flatnonzero(present)
+    return int(neighboured[-1] if neighboured.size else alone[-1] if alone.size else -1)
+
+
+def _limits(layout: ScanLayout) -> OverlapLimits:
+    text = layout.verbatim["calibration"].decode()
+    if not text:
+        return OverlapLimits()
+    camera = parse_calibration(text, f"the calibration in {layout.path}").camera
+    um_per_px = abs(camera.T[2]) / camera.K[0][0] * UM_PER_MM
+    return OverlapLimits(specimen_px=SPECIMEN_LIMIT_UM / um_per_px)
+
+
+def _start_again(layout: ScanLayout, plan: SweepPlan) -> Start:
+    return Start(
+        scan_uid=layout.scan_uid,
+        path=str(layout.path.parent.resolve()),
+        format=layout.format,
+        plan=plan,
+        config_toml=layout.verbatim["config"].decode(),
+        calibration_json=layout.verbatim["calibration"].decode(),
+        user_json=json.dumps(layout.user),
+        start_time_utc=layout.start_time,
+        epoch_utc_ns=layout.epoch_utc_ns,
+    )
+
+
+def _camera_settings(layout: ScanLayout, plan: SweepPlan, config: LoadedConfig) -> CameraSettings:
+    recorded: dict[str, Any] = tomllib.loads(layout.verbatim["config"].decode()).get("camera", {})
+    camera = config.rig.camera
+    return CameraSettings(
+        exposure_ms=plan.exposure_ms,
+        gain=float(recorded.get("gain", camera.gain)),
+        brightness_percent=float(recorded.get("brightness_percent", camera.brightness_percent)),
+    )

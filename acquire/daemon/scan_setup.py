@@ -1,0 +1,283 @@
+"""Turns a request for a scan into its plan and its `start` message; what cannot go well is refused before it moves."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import shutil
+import uuid
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+
+from acquire.cameras.protocol import CameraSettings
+from acquire.contract.calibration import check_size, check_validity, load_calibration, parse_calibration
+from acquire.contract.clocks import epoch_utc_ns, utc_now_iso, utc_stamp
+from acquire.contract.config.load import LoadedConfig
+from acquire.contract.config.model import StageConfig
+from acquire.contract.errors import CalibrationError, CommandRefusedError
+from acquire.contract.messaging.messages import FrameFormat, Start
+from acquire.contract.plan import MAX_FRAMES, SweepPlan
+from acquire.contract.run_dir import FileLock
+from acquire.contract.scan_data.dataset_names import CHECK_ROLES, OWNER_LOCK_NAME
+from acquire.contract.units import format_bytes, format_duration, ns_from_ms
+from acquire.rigs.base import Rig
+from acquire.sweep.credit_window import slots_for
+from acquire.sweep.settings import SweepSettings
+
+from .requests import ScanRequest
+
+_LONGEST_FINAL_MOVE_MS = 10_000.0
+LONGEST_EXPOSURE_SHARE = 0.9
+"""Of a frame's period: the rest belongs to the camera's dead time."""
+
+
+@dataclass(frozen=True)
+class PreparedScan:
+    """A scan that may begin."""
+
+    start: Start
+    settings: SweepSettings
+    slots: int
+    folder: Path
+    lock: FileLock
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class CheckedScan:
+    """A scan that could begin, and what it would need."""
+
+    plan: SweepPlan
+    slots: int
+    calibration: str
+    """The calibration's JSON; empty where none is needed."""
+    warnings: tuple[str, ...]
+    needed_bytes: int
+    free_bytes: int
+
+
+def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) -> SweepPlan:
+    """The plan: what the request leaves out comes from the configuration.
+
+    Raises:
+        CommandRefusedError: outside the stage's travel, or too many frames.
+    """
+    sweep, stage = config.rig.sweep, config.rig.stage
+    plan = SweepPlan(
+        first_steps=sweep.first_steps if request.first_steps is None else request.first_steps,
+        last_steps=sweep.last_steps if request.last_steps is None else request.last_steps,
+        steps_per_frame=request.steps_per_frame or sweep.steps_per_frame,
+        um_per_microstep=stage.um_per_microstep,
+        mode=request.mode or sweep.mode,
+        settle_ms=stage.settle_ms if request.settle_ms is None else request.settle_ms,
+        exposure_ms=camera.exposure_ms,
+    )
+    check_travel(plan, stage)
+    longest_ms = LONGEST_EXPOSURE_SHARE * 1000 / sweep.max_rate_hz
+    if plan.mode == "fly" and plan.exposure_ms > longest_ms:
+        raise CommandRefusedError(
+            f"an exposure of {plan.exposure_ms:g} ms is longer than {LONGEST_EXPOSURE_SHARE:g} of a frame's period "
+            f"({longest_ms:.3g} ms): shorten it, lower sweep.max_rate_hz, or sweep in step mode"
+        )
+    if plan.count > MAX_FRAMES:
+        raise CommandRefusedError(f"{plan.count} frames are more than the bound of {MAX_FRAMES}: use larger steps")
+    return plan
+
+
+def check_travel(plan: SweepPlan, stage: StageConfig) -> None:
+    """Both ends of the plan can be reached.
+
+    Raises:
+        CommandRefusedError: one cannot.
+    """
+    low, high = stage.travel_min_steps, stage.travel_max_steps
+    for what, position in (("first", plan.first_steps), ("last", plan.last_steps)):
+        if not low <= position <= high:
+            raise CommandRefusedError(f"the {what} position {position} is outside the stage's travel {low}..{high}")
+
+
+def estimated_duration_s(plan: SweepPlan, config: LoadedConfig) -> float:
+    """How long a sweep takes at best, in s."""
+    rig = config.rig
+    step_ms = 2000 * math.sqrt(plan.steps_per_frame / rig.stage.acceleration_steps_per_s2)
+    frame_ms = max(1000 / rig.sweep.max_rate_hz, plan.exposure_ms + plan.settle_ms + step_ms)
+    return plan.count * frame_ms / 1000 * rig.simulation.time_scale
+
+
+def prepare_scan(
+    request: ScanRequest,
+    config: LoadedConfig,
+    rig: Rig,
+    frame_format: FrameFormat,
+    camera: CameraSettings,
+    zero_id: str,
+) -> PreparedScan:
+    """Check everything that can be checked beforehand and make the scan's folder.
+
+    Raises:
+        CommandRefusedError: travel, memory, disk space, or a folder that cannot be made; says what to do.
+        CalibrationError: the calibration cannot be used (F21).
+    """
+    found = check_scan(request, config, rig, frame_format, camera, zero_id)
+    folder, lock = _make_folder(config.data_dir, request.name)
+    start = _start_message(request, config, found.plan, frame_format, found.calibration, folder, zero_id)
+    return PreparedScan(start, sweep_settings(config, start), found.slots, folder, lock, found.warnings)
+
+
+def check_scan(
+    request: ScanRequest,
+    config: LoadedConfig,
+    rig: Rig,
+    frame_format: FrameFormat,
+    camera: CameraSettings,
+    zero_id: str,
+) -> CheckedScan:
+    """Check everything that can be checked beforehand; nothing is made.
+
+    Raises:
+        CommandRefusedError: travel, memory or disk space; says what to do.
+        CalibrationError: the calibration cannot be used (F21).
+    """
+    plan = plan_of(request, config, camera)
+    slots = window_slots(config, frame_format)
+    calibration, warnings = _calibration(config, rig, plan, frame_format, request, zero_id)
+    needed, free = _check_space(config, plan, frame_format)
+    return CheckedScan(plan, slots, calibration, tuple(warnings), needed, free)
+
+
+def window_slots(config: LoadedConfig, frame_format: FrameFormat) -> int:
+    """Frames that may be uncommitted at a time.
+
+    Raises:
+        CommandRefusedError: not even two fit into the bound.
+    """
+    bound = config.rig.limits.window_bytes
+    slots = slots_for(bound, frame_format.nbytes)
+    if not slots:
+        raise CommandRefusedError(
+            f"two frames of {format_bytes(frame_format.nbytes)} do not fit into limits.window_bytes = "
+            f"{format_bytes(bound)}: raise it in rig.toml"
+        )
+    return slots
+
+
+def _calibration(
+    config: LoadedConfig, rig: Rig, plan: SweepPlan, frame_format: FrameFormat, request: ScanRequest, zero_id: str
+) -> tuple[str, list[str]]:
+    named = config.rig.reconstruct.calibration
+    if named:
+        calibration, text = load_calibration(Path(named).expanduser())
+    else:
+        text = rig.own_calibration(plan)
+        if not text:
+            if request.purpose == "object":
+                raise CalibrationError(
+                    "no calibration: an object needs a light plane; set reconstruct.calibration, "
+                    "or scan for the maps alone with purpose 'raw'"
+                )
+            return "", []
+        calibration = parse_calibration(text, "the rig's own calibration")
+    check_size(calibration, frame_format.width, frame_format.height)
+    warnings = check_validity(calibration, plan, zero_id, utc_now_iso())
+    if calibration.light_plane is None and request.purpose == "object":
+        raise CalibrationError(f"{named or 'the calibration'} has no light_plane: an object needs one, calibrate it")
+    return text, warnings
+
+
+def space_for(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
+    """Bytes that a sweep needs on the disk of the scans, and bytes that are free there."""
+    place = config.data_dir
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    return (plan.count + len(CHECK_ROLES)) * frame_format.nbytes, shutil.disk_usage(place).free
+
+
+def _check_space(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
+    needed, free = space_for(config, plan, frame_format)
+    if free < needed:
+        raise CommandRefusedError(
+            f"the scan needs {format_bytes(needed)} and {config.data_dir} has {format_bytes(free)} free "
+            f"({plan.count} frames, {format_duration(estimated_duration_s(plan, config))}): "
+            "make room, or set storage.data_dir to another disk"
+        )
+    return needed, free
+
+
+def _make_folder(data_dir: Path, name: str) -> tuple[Path, FileLock]:
+    stem = f"{utc_stamp()}-{re.sub(r'[^A-Za-z0-9._-]+', '-', name).strip('-.') or 'scan'}"
+    folder = data_dir / stem
+    try:
+        data_dir.mkdir(parents=True, exist_ok=True)
+        attempt = 1
+        while folder.exists():
+            attempt += 1
+            folder = data_dir / f"{stem}-{attempt}"
+        folder.mkdir()
+    except OSError as error:
+        raise CommandRefusedError(
+            f"cannot make a folder in {data_dir}: {error.strerror}; nothing has moved; "
+            "mend its permissions or set storage.data_dir"
+        ) from None
+    return folder.resolve(), FileLock(folder / OWNER_LOCK_NAME, "a scan in this folder")
+
+
+def _start_message(
+    request: ScanRequest,
+    config: LoadedConfig,
+    plan: SweepPlan,
+    frame_format: FrameFormat,
+    calibration: str,
+    folder: Path,
+    zero_id: str,
+) -> Start:
+    user = {
+        "name": request.name,
+        "specimen": request.specimen,
+        "operator": request.operator or os.environ.get("USER", ""),
+        "notes": request.notes,
+        "tags": request.tags,
+        "purpose": request.purpose,
+    }
+    return Start(
+        scan_uid=uuid.uuid4().hex,
+        path=str(folder),
+        format=frame_format,
+        plan=plan,
+        config_toml=config.toml(),
+        calibration_json=calibration,
+        user_json=json.dumps(user),
+        start_time_utc=utc_now_iso(),
+        epoch_utc_ns=epoch_utc_ns(),
+        versions_json=msgspec.json.encode({"sweepscope": version("sweepscope"), "zero_id": zero_id}).decode(),
+    )
+
+
+def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
+    """What the sweep of ``start`` needs to know, from the configuration of today."""
+    rig, plan = config.rig, start.plan
+    travel_ms = 1000 * abs(rig.stage.travel_max_steps - rig.stage.travel_min_steps) / rig.stage.max_rate_steps_per_s
+    period_ms = 1000 / rig.sweep.max_rate_hz
+    return SweepSettings(
+        scan_uid=start.scan_uid,
+        plan=plan,
+        format=start.format,
+        run_up_steps=rig.stage.run_up_steps,
+        period_ms=period_ms,
+        frame_timeout_ns=ns_from_ms(rig.camera.frame_timeout_ms),
+        max_attempts=rig.camera.max_attempts,
+        camera_away_ns=ns_from_ms(rig.camera.away_s * 1000),
+        writer_start_ns=ns_from_ms(rig.limits.writer_start_s * 1000),
+        seal_ns=ns_from_ms(rig.limits.seal_s * 1000),
+        motion_ns=ns_from_ms(2 * travel_ms + period_ms + plan.settle_ms + _LONGEST_FINAL_MOVE_MS),
+        warm_up_ns=ns_from_ms(rig.lamp.warm_up_s * 1000),
+        dark_frames=rig.sweep.dark_frames,
+        repeat_first=rig.sweep.repeat_first,
+        check_limit=rig.sweep.check_limit,
+        needs_proof=rig.stage.kind == "uno",
+        time_scale=rig.simulation.time_scale if rig.stage.kind == "simulated" else 1.0,
+    )

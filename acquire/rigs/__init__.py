@@ -1,0 +1,1 @@
+"""A rig put together from its configuration."""

@@ -1,0 +1,72 @@
+"""Acquire/rigs/base.py."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from acquire.cameras.protocol import Camera, HostFiredCamera
+from acquire.contract.config.simulation import SimulationConfig
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.plan import SweepPlan
+from acquire.stages.protocol import Stage, StageEvent, StageInfo, StageSink, Triggered
+
+HOST_TRIGGER = "host"
+"""``camera.trigger`` of a camera that runs freely."""
+
+
+@dataclass
+class Rig:
+    """The devices of one daemon."""
+
+    stage: Stage
+    camera: Camera
+
+    def own_calibration(self, plan: SweepPlan) -> str:
+        """The calibration that the rig knows by itself (JSON); empty for a real one."""
+        return ""
+
+    def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread | None:
+        """Write what is really there beside the scan, in a thread; None for a real rig."""
+        return None
+
+    def open_stage(self, sink: StageSink) -> StageInfo:
+        """Connect the stage; its events go to ``sink``."""
+        return self.stage.open(sink)
+
+    def set_lamp(self, *, on: bool) -> None:
+        """Switch the lamp."""
+        self.stage.set_lamp(on=on)
+
+    def specimen(self, changes: dict[str, Any]) -> SimulationConfig:
+        """The simulation with ``changes``; only a simulated rig has one.
+
+        Raises:
+            CommandRefusedError: a real rig, or a value out of its bounds.
+        """
+        raise CommandRefusedError("only the simulated rig can change its specimen: lay it on the stage by hand")
+
+    def show_specimen(self, simulation: SimulationConfig) -> str:
+        """Compute the scene and show it from now on; returns what lies there, in words. Called in a thread."""
+        raise NotImplementedError
+
+
+@dataclass
+class HostFiredRig(Rig):
+    """A camera without a trigger input: the host passes each shot on to it, so the stage must stand still."""
+
+    camera: HostFiredCamera
+
+    def open_stage(self, sink: StageSink) -> StageInfo:
+        """Connect the stage; each trigger that it reports goes to the camera as well."""
+
+        def tell(event: StageEvent) -> None:
+            sink(event)
+            if isinstance(event, Triggered):
+                self.camera.fire(event.at_mono_ns, event.position_steps)
+
+        return msgspec.structs.replace(self.stage.open(tell), modes=("step",))

@@ -1,0 +1,66 @@
+"""Puts a rig together from its configuration: stage, camera, and what the simulated one knows about itself."""
+
+from __future__ import annotations
+
+from acquire.cameras.protocol import HostFiredCamera
+from acquire.contract.config.model import RigConfig
+from acquire.contract.errors import ConfigError
+from acquire.rigs.base import HOST_TRIGGER, HostFiredRig, Rig
+from acquire.rigs.simulated import SimulatedRig
+from acquire.stages.protocol import Stage
+
+
+def build_rig(config: RigConfig) -> Rig:
+    """The rig that the configuration names.
+
+    Raises:
+        ConfigError: devices that cannot work together.
+    """
+    stage, camera = config.stage, config.camera
+    if camera.kind == "simulated" and stage.kind == "simulated":
+        return SimulatedRig(config)
+    if camera.kind == "simulated" and stage.kind == "uno" and stage.port == "emulator":
+        from .twin import TwinRig  # noqa: PLC0415 - it needs the AVR tools
+
+        return TwinRig(config)
+    if camera.kind == "simulated":
+        raise ConfigError("a simulated camera sees no real stage: set camera.kind to your camera's, or 'replay'")
+    if camera.kind in ("uvc", "replay") or camera.trigger == HOST_TRIGGER:
+        return HostFiredRig(_stage(config), _host_fired(config))
+    if stage.kind != "uno":
+        raise ConfigError(
+            f"a {stage.kind} stage has no TRIGGER wire: set camera.trigger = '{HOST_TRIGGER}', or use the Uno"
+        )
+    from acquire.cameras.genicam import GenicamCamera  # noqa: PLC0415 - it loads the camera makers' libraries
+
+    return Rig(_stage(config), GenicamCamera(camera))
+
+
+def _stage(config: RigConfig) -> Stage:
+    if config.stage.kind == "uno":
+        from acquire.stages.uno.stage import UnoStage  # noqa: PLC0415 - only the chosen driver is loaded
+
+        return UnoStage(config.stage)
+    if config.stage.kind == "legacy":
+        from acquire.stages.legacy import LegacyStage  # noqa: PLC0415
+
+        return LegacyStage(config.stage)
+    from acquire.stages.simulated import SimulatedStage  # noqa: PLC0415
+
+    return SimulatedStage(config.stage, lambda *_shot: None, time_scale=config.simulation.time_scale)
+
+
+def _host_fired(config: RigConfig) -> HostFiredCamera:
+    if config.camera.kind == "replay":
+        from acquire.cameras.replay import ReplayCamera  # noqa: PLC0415
+
+        return ReplayCamera(config)
+    from acquire.cameras.free_running import FreeRunningCamera  # noqa: PLC0415
+
+    if config.camera.kind == "uvc":
+        from acquire.cameras.uvc import UvcSource  # noqa: PLC0415
+
+        return FreeRunningCamera(UvcSource(config.camera))
+    from acquire.cameras.genicam import GenicamDevice  # noqa: PLC0415
+
+    return FreeRunningCamera(GenicamDevice(config.camera))

@@ -1,0 +1,192 @@
+"""The digital twin: the real firmware and the real serial driver under the simulated optics.
+
+The camera exposes at real edges of the emulated TRIGGER pin and sees the stage where the STEP edges have truly brought
+it; the lamp is the emulated LAMP pin. ``twin.jsonl`` beside the scan is the pins' own record of every trigger.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+import msgspec
+
+from acquire.cameras.simulated import SimulatedCamera
+from acquire.contract.config.model import RigConfig, StageConfig
+from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.dataset_names import PINS_NAME
+from acquire.stages.protocol import Alarm, StageEvent, StageInfo, StageSink, Triggered
+from acquire.stages.uno.config import switch_position_steps
+from acquire.stages.uno.emulator import Emulator, TriggerEdge, build_firmware
+from acquire.stages.uno.stage import UnoStage
+from acquire.stages.uno.wire_format import LEASE_MAX_MS
+
+from .base import Rig
+from .simulated import SimulatedRig
+
+logger = logging.getLogger(__name__)
+
+EMULATOR_PORT = "emulator"
+"""``stage.port`` that starts the emulated controller instead of opening a port."""
+_LIMIT_AT = -300
+_LAMP_S = 2.0
+
+
+class PairedEdges:
+    """Joins what the firmware reports with what the pins did; each shot goes on when both are there.
+
+    The camera must never be heard before the trigger that it answers to: the wire brings the report a little later than
+    the edge.
+    """
+
+    def __init__(self, expose: Callable[[float, int, float, int], None], zero_at: int, um_per_microstep: float) -> None:
+        """``expose`` takes the true place at mid-exposure (microsteps), the time (ns), the way during exposure, and the
+        time by the controller's clock (ns), which the simulated camera calls its own.
+        """
+        self._expose, self._zero_at, self._um = expose, zero_at, um_per_microstep
+        self._lock = threading.Lock()
+        self._edges: deque[tuple[TriggerEdge, bool]] = deque()
+        self._reported: deque[Triggered] = deque()
+        self._record: IO[str] | None = None
+        self.differences = 0
+        """Shots whose counted and true position differed."""
+
+    def record_to(self, path: Path | None) -> None:
+        """Write every pair to this file from now on."""
+        with self._lock:
+            if self._record is not None:
+                with suppress(OSError):
+                    self._record.close()
+                self._record = None
+            if path is None:
+                return
+            try:
+                self._record = path.open("w", encoding="utf-8", buffering=1)
+            except OSError as error:
+                logger.error("no record of the pins: %s", error)  # noqa: TRY400
+
+    def edge(self, edge: TriggerEdge, *, delivered: bool) -> None:
+        """TRIGGER rose; ``delivered`` is False where a fault let it get lost on its way to the camera."""
+        with self._lock:
+            self._edges.append((edge, delivered))
+            self._pair()
+
+    def reported(self, event: Triggered) -> None:
+        """The firmware says that it fired."""
+        with self._lock:
+            self._reported.append(event)
+            self._pair()
+
+    def forget(self) -> None:
+        """The firmware has restarted: its last reports will never come."""
+        with self._lock:
+            self._edges.clear()
+            self._reported.clear()
+
+    def _pair(self) -> None:
+        while self._edges and self._reported:
+            (edge, delivered), event = self._edges.popleft(), self._reported.popleft()
+            position_steps = edge.position_steps - self._zero_at
+            self.differences += position_steps != event.position_steps
+            if self._record is not None:
+                pair = {
+                    "trigger_id": event.trigger_id,
+                    "counted_steps": event.position_steps,
+                    "true_steps": position_steps,
+                    "counted_cycles": event.trigger_cycles,
+                    "true_cycles": edge.cycles,
+                    "delivered": delivered,
+                }
+                self._note(self._record, json.dumps(pair) + "\n")
+            if delivered:
+                half_way = 0.0 if event.position_um is None else event.position_um / self._um - event.position_steps
+                self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way), event.fired_ns)
+
+    def _note(self, record: IO[str], line: str) -> None:
+        """A disk that is full ends the record, not the line to the controller, in whose thread this runs."""
+        try:
+            record.write(line)
+        except OSError as error:
+            logger.error("no record of the pins any more: %s", error)  # noqa: TRY400
+            self._record = None
+            with suppress(OSError):
+                record.close()
+
+
+class TwinStage(UnoStage):
+    """The driver on an emulator of its own."""
+
+    def __init__(self, config: StageConfig, pace: float, camera: SimulatedCamera) -> None:
+        self._emulator = Emulator(*build_firmware(), pace=pace, limit_at=_LIMIT_AT)
+        lease_ms = min(config.motion_lease_ms * max(pace, 1.0), LEASE_MAX_MS)
+        super().__init__(msgspec.structs.replace(config, port=self._emulator.port, motion_lease_ms=lease_ms))
+        self._camera = camera
+        zero_at = _LIMIT_AT - switch_position_steps(config)
+        self.pairs = PairedEdges(camera.on_trigger, zero_at, config.um_per_microstep)
+        self._lamp_moved = threading.Condition()
+
+    def open(self, sink: StageSink) -> StageInfo:
+        """Join the pins to the camera, then connect."""
+
+        def tell(event: StageEvent) -> None:
+            sink(event)
+            if isinstance(event, Triggered):
+                self.pairs.reported(event)
+            elif isinstance(event, Alarm) and event.code == "F13":
+                self.pairs.forget()
+
+        self._emulator.watch(
+            lambda edge: self.pairs.edge(edge, delivered=True),
+            self._on_lamp,
+            lambda edge: self.pairs.edge(edge, delivered=False),
+        )
+        info = super().open(tell)
+        return msgspec.structs.replace(info, version=f"{info.version} (emulated)")
+
+    def _on_lamp(self, on: bool) -> None:
+        with self._lamp_moved:
+            self._camera.lamp_on = on
+            self._lamp_moved.notify_all()
+
+    def set_lamp(self, *, on: bool) -> None:
+        """Switch the lamp and wait until its pin has followed: the next picture is taken by its light."""
+        super().set_lamp(on=on)
+        with self._lamp_moved:
+            if not self._lamp_moved.wait_for(lambda: self._camera.lamp_on == on, timeout=_LAMP_S):
+                logger.warning("the lamp's pin did not follow within %s s", _LAMP_S)
+
+    def close(self) -> None:
+        """End driver and emulator; idempotent."""
+        super().close()
+        self.pairs.record_to(None)
+        self._emulator.close()
+
+
+class TwinRig(SimulatedRig):
+    """The simulated camera over the emulated stage."""
+
+    def __init__(self, config: RigConfig) -> None:
+        self._camera = SimulatedCamera(config)
+        self._twin = TwinStage(config.stage, _pace(config.simulation.time_scale), self._camera)
+        Rig.__init__(self, self._twin, self._camera)
+        self._camera.where = lambda: self._twin.status().position_steps
+
+    def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread:
+        """The truth, and from now on the record of the pins."""
+        self._twin.pairs.record_to(folder / PINS_NAME)
+        return super().write_truth(folder, plan)
+
+    def set_lamp(self, *, on: bool) -> None:
+        """Switch the lamp; the camera sees its pin."""
+        self._twin.set_lamp(on=on)
+
+
+def _pace(time_scale: float) -> float:
+    """Speed of the emulated processor: real time at 1, else as the durations are scaled, as far as it can."""
+    return 1.0 / time_scale

@@ -1,0 +1,1 @@
+"""The stage behind our firmware."""

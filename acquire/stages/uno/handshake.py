@@ -1,0 +1,77 @@
+"""The handshake with the firmware: nothing is believed of a controller before it has shown that it is ours."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from typing import Final
+
+import serial
+
+from acquire.contract.errors import SweepscopeError
+from acquire.stages.uno.framing import Block, BlockReader, encode_block
+
+from .serial_io import LinkLostError, read_now, wait_readable, write_now
+from .wire_format import PROTOCOL_MAJOR, PROTOCOL_MINOR, WIRE_CRC, Cmd, HelloBody, HelloReplyBody, Msg
+
+_HELLO_AGAIN_S: Final = 0.1
+
+
+class FirmwareMismatchError(SweepscopeError):
+    """Something answers, but it is no firmware that this driver can trust."""
+
+
+def new_nonce() -> int:
+    """The name of a new session; never 0, which is none."""
+    return secrets.randbelow(0xFFFF_FFFF) + 1
+
+
+def shake_hands(
+    port: serial.Serial, reader: BlockReader, nonce: int, within_s: float, given_up: Callable[[], bool]
+) -> HelloReplyBody:
+    """Say hello until the firmware answers.
+
+    Raises:
+        LinkLostError: nothing answers ``within_s``, or it was ``given_up``.
+        FirmwareMismatchError: another firmware answers.
+    """
+    deadline_s = time.monotonic() + within_s
+    hello = encode_block(Block(0, Cmd.HELLO, HelloBody(PROTOCOL_MAJOR, PROTOCOL_MINOR, nonce).pack()))
+    heard = b""
+    while time.monotonic() < deadline_s and not given_up():
+        write_now(port, hello)
+        again_s = time.monotonic() + _HELLO_AGAIN_S
+        while (now_s := time.monotonic()) < again_s and not given_up():
+            wait_readable(again_s - now_s, port.fileno())
+            data = read_now(port)
+            heard = (heard + data)[:64]
+            for block in reader.feed(data):
+                if block.kind == Msg.HELLO:
+                    return _ours(HelloReplyBody.unpack(block.body))
+    raise _nobody(heard)
+
+
+def _ours(hello: HelloReplyBody) -> HelloReplyBody:
+    if hello.major != PROTOCOL_MAJOR:
+        raise FirmwareMismatchError(
+            f"the firmware speaks protocol {hello.major}.{hello.minor}, this program {PROTOCOL_MAJOR}."
+            f"{PROTOCOL_MINOR}: nothing has moved; flash the firmware of this version (make -C firmware flash)"
+        )
+    if hello.wire_crc != WIRE_CRC:
+        raise FirmwareMismatchError(
+            f"the firmware was built from other declarations ({hello.wire_crc:08x}) than this program "
+            f"({WIRE_CRC:08x}): nothing has moved; flash the firmware of this version (make -C firmware flash)"
+        )
+    return hello
+
+
+def _nobody(heard: bytes) -> SweepscopeError:
+    if heard:
+        return FirmwareMismatchError(
+            f"another firmware answers on the stage's port ({heard[:16].hex(' ')} ...): nothing has moved; "
+            "flash ours (make -C firmware flash), or name another port in stage.port"
+        )
+    return LinkLostError(
+        "nothing answers on the stage's port: is the controller powered, is it the right port, is our firmware on it?"
+    )

@@ -1,0 +1,266 @@
+"""What the firmware's reports mean for the stage: trigger events in order, holds, ends of motion, a lost controller."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Literal
+
+import serial
+
+from acquire.contract.config.model import StageConfig
+from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, StageSink, StageStatus, Stopped, Triggered
+from acquire.stages.uno.framing import Block
+
+from .config import config_body
+from .link import Link, LinkTiming
+from .ports import choose_port, open_port
+from .serial_io import LinkLostError
+from .texts import alarm_event, reset_words
+from .wire_format import (
+    LINK_BAUD,
+    AckBody,
+    Cmd,
+    EventBody,
+    Flag,
+    GrantBody,
+    HelloReplyBody,
+    McuAlarm,
+    McuHold,
+    McuState,
+    McuStop,
+    Msg,
+    ReportBody,
+    Result,
+    StatusBody,
+)
+
+logger = logging.getLogger(__name__)
+
+_POLL_ACTIVE_S = 0.02
+_POLL_IDLE_S = 0.2
+_RESUME_AGAIN_S = 0.1
+_RECONNECT_S = 15.0
+"""So long the controller may be away before the activity is given up."""
+_NS_PER_16_CYCLES = 1000
+"""At 16 MHz."""
+
+Activity = Literal["move", "home", "zero", "touch", "segment"]
+
+
+class UnoReports:
+    """Follows the firmware from the link's thread; :class:`acquire.stages.uno.stage.UnoStage` adds the calls."""
+
+    def __init__(
+        self,
+        config: StageConfig,
+        *,
+        opener: Callable[[], serial.Serial] | None = None,
+        timing: LinkTiming | None = None,
+    ) -> None:
+        self._config = config
+        self._body = config_body(config)
+        self._link = Link(
+            opener or (lambda: open_port(choose_port(config.port), LINK_BAUD)), self, timing or LinkTiming()
+        )
+        self._sink: StageSink = lambda _event: None
+        self._lock = threading.RLock()
+        self._report: ReportBody | None = None
+        self._activity: Activity | None = None
+        self._claimed = False
+        self._segment_id = 0
+        self._segment = Segment(0, 1, 1)
+        self._first_id = 0
+        self._granted = -1
+        self._next_event = 0
+        self._hold_wanted = False
+        self._held_for = McuHold.NONE
+        self._lost_since_s: float | None = None
+        self._alive_s = self._polled_s = self._resumed_s = 0.0
+        self._asked_ns = self._sound_ns = 0
+        self.strobes = 0
+        """Strobes that the firmware has seen since its start."""
+
+    def status(self) -> StageStatus:
+        """What the last report said."""
+        with self._lock:
+            report = self._report
+            lost = self._lost_since_s is not None
+            moving = self._activity is not None or self._claimed
+        if report is None:
+            return StageStatus(0, position_trusted=False, zero_id="", moving=False, triggers=0)
+        return StageStatus(
+            position_steps=report.position,
+            position_trusted=bool(report.flags & Flag.TRUSTED) and not lost,
+            zero_id=_zero_id(report),
+            moving=moving,
+            triggers=report.triggers,
+            lamp_on=bool(report.flags & Flag.LAMP),
+            sound_ns=self._sound_ns,
+            damaged_blocks=self._link.counters()["damaged"],
+        )
+
+    def keep_alive(self) -> None:
+        """The host's main loop lives; also gives the activity up when the controller stays away."""
+        self._alive_s = time.monotonic()
+        lost_s = self._lost_since_s
+        if lost_s is not None and self._alive_s - lost_s > _RECONNECT_S:
+            self._give_up("F12", "it did not come back")
+
+    def counters(self) -> dict[str, int]:
+        """The link's counters."""
+        return {**self._link.counters(), "strobes": self.strobes}
+
+    @property
+    def report(self) -> ReportBody:
+        """The firmware's last report."""
+        return self._need_report()
+
+    def _need_report(self) -> ReportBody:
+        if self._report is None:
+            raise LinkLostError("the stage's controller has not reported yet")
+        return self._report
+
+    # ---- from the link's thread ----
+
+    def poll(self) -> bytes | None:
+        """Ask for the state: often while something moves, and only while the host's main loop lives."""
+        now_s = time.monotonic()
+        with self._lock:
+            report, active = self._report, self._activity is not None
+            behind = report is not None and report.triggers > self._next_event
+            seen = self._next_event
+        every_s = 0.0 if behind else _POLL_ACTIVE_S if active else _POLL_IDLE_S
+        if now_s - self._polled_s < every_s or (active and not self._host_lives(now_s)):
+            return None
+        self._polled_s = now_s
+        self._asked_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        return StatusBody(seen).pack()
+
+    def _host_lives(self, now_s: float) -> bool:
+        return now_s - self._alive_s < self._config.motion_lease_ms / 2000
+
+    def on_report(self, report: ReportBody, events: tuple[EventBody, ...]) -> None:
+        """Pass trigger events on in order, then what became of the activity."""
+        with self._lock:
+            self._report = report
+            self.strobes = report.strobes
+            fired = self._take_events(events)
+        for event in fired:
+            self._sink(event)
+        if report.state != McuState.ALARM:
+            # it was made after it was asked for, whenever that was exactly
+            self._sound_ns = self._asked_ns
+        if self._activity is None:
+            return
+        if report.state in (McuState.IDLE, McuState.ALARM):
+            if report.triggers <= self._next_event:
+                self._finish(report)
+        else:
+            self._watch_hold(report)
+
+    def _take_events(self, events: tuple[EventBody, ...]) -> list[Triggered]:
+        fired = []
+        at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        for event in events:
+            if event.trigger_id == self._next_event:
+                self._next_event += 1
+                shot = event.trigger_id - self._first_id
+                middle_um = self._middle_um(event.position)
+                fired_ns = event.cycles * _NS_PER_16_CYCLES // 16
+                fired.append(
+                    Triggered(event.trigger_id, shot, event.position, event.cycles, at_ns, middle_um, fired_ns)
+                )
+        return fired
+
+    def _middle_um(self, position_steps: int) -> float | None:
+        """Where the stage is half an exposure after a trigger on the fly; None where it stands still."""
+        segment = self._segment
+        if segment.mode != "fly" or not segment.period_ms:
+            return None
+        half_way_steps = segment.pitch_steps * segment.dwell_ms / 2 / segment.period_ms
+        return (position_steps + half_way_steps) * self._config.um_per_microstep
+
+    def _watch_hold(self, report: ReportBody) -> None:
+        reason = McuHold(report.hold_reason) if report.state == McuState.HOLDING else McuHold.NONE
+        if reason in (McuHold.HOST, McuHold.REALTIME) and not self._hold_wanted:
+            self._resume_soon()  # noise looked like the realtime byte
+        elif reason == McuHold.LEASE and not self._hold_wanted and self._host_lives(time.monotonic()):
+            self._resume_soon()
+        if reason != self._held_for:
+            self._held_for = reason
+            self._tell_held(reason, report.position)
+
+    def _tell_held(self, reason: McuHold, position_steps: int) -> None:
+        if reason in (McuHold.HOST, McuHold.REALTIME) and self._hold_wanted:
+            self._sink(Held("requested", position_steps))
+        elif reason == McuHold.LEASE:
+            self._sink(Held("lease", position_steps))
+        elif reason == McuHold.NO_CREDIT and self._segment.mode == "fly":
+            self._sink(Held("no credit", position_steps))
+
+    def _resume_soon(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._resumed_s > _RESUME_AGAIN_S:
+            self._resumed_s = now_s
+            self._link.send(Cmd.RESUME)
+
+    def _finish(self, report: ReportBody) -> None:
+        with self._lock:
+            activity, self._activity = self._activity, None
+        if report.state == McuState.ALARM:
+            self._sink(alarm_event(McuAlarm(report.alarm), report.position))
+        elif report.stop_reason != McuStop.DONE and activity != "zero":
+            reason = "lease" if report.stop_reason == McuStop.LEASE else "requested"
+            self._sink(Stopped(report.position, position_trusted=bool(report.flags & Flag.TRUSTED), reason=reason))
+        elif activity == "segment":
+            self._sink(SegmentDone(report.position))
+        else:
+            lost = report.steps_lost if activity == "touch" and report.flags & Flag.TOUCHED else None
+            trusted = bool(report.flags & Flag.TRUSTED)
+            self._sink(Moved(report.position, trusted, zero_id=_zero_id(report), steps_lost=lost))
+
+    def on_lost(self, detail: str) -> None:
+        """The firmware holds by its lease; wait for it to come back."""
+        logger.warning("the stage's controller is gone: %s", detail)
+        with self._lock:
+            self._lost_since_s = time.monotonic()
+            segment = self._activity == "segment"
+            position = self._report.position if self._report is not None else 0
+        if segment:
+            self._sink(Held("link lost", position))
+
+    def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
+        """The same one: go on. Restarted: it knows nothing any more, not even where it is."""
+        with self._lock:
+            self._lost_since_s = None
+            through = self._first_id + self._granted
+            running = self._activity == "segment" and self._granted >= 0
+        if same_session:
+            if running:
+                self._link.send(Cmd.GRANT, GrantBody(through).pack())
+            self._link.send(Cmd.STATUS, StatusBody(self._next_event).pack())
+            return
+        with self._lock:
+            self._next_event = 0
+        self._link.send(Cmd.CONFIGURE, self._body.pack())
+        self._link.send(Cmd.STATUS, StatusBody(0).pack())
+        self._give_up("F13", f"{reset_words(hello.reset_cause)}; home the stage, then resume")
+
+    def _give_up(self, code: str, detail: str) -> None:
+        with self._lock:
+            activity, self._activity = self._activity, None
+            position = self._report.position if self._report is not None else 0
+        if activity is not None:
+            self._sink(Alarm(code, detail, position, position_trusted=False))
+
+
+def result_of(answer: Block) -> Result:
+    """What became of a command; a question that was answered by its message is OK."""
+    return Result(AckBody.unpack(answer.body).result) if answer.kind == Msg.ACK else Result.OK
+
+
+def _zero_id(report: ReportBody) -> str:
+    return f"{report.zero_id:08x}" if report.zero_id else ""

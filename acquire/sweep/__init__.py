@@ -1,0 +1,1 @@
+"""One sweep as a pure state machine: events in, actions out."""

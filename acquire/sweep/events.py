@@ -1,0 +1,72 @@
+"""What can happen to a sweep, as values: from the writer, the camera and the operator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from acquire.cameras.protocol import CameraFrame, CameraGone
+from acquire.contract.messaging.messages import EndAck, Nack
+from acquire.contract.states import Outcome
+from acquire.stages.protocol import StageEvent
+
+
+@dataclass(frozen=True)
+class WriterReady:
+    """A writer has the scan's file open (again)."""
+
+    reserved: bool
+    came_back: bool
+
+
+@dataclass(frozen=True)
+class Committed:
+    """Frames became committed; ``durable_count`` frames survive a power cut."""
+
+    frame_indices: tuple[int, ...]
+    durable_count: int
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The writer refused something and says why."""
+
+    nack: Nack
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """The scan's file is closed for good (or could not be)."""
+
+    end_ack: EndAck
+
+
+LaneEvent = WriterReady | Committed | Refused | Sealed
+
+
+@dataclass(frozen=True)
+class PauseRequested:
+    """The operator wants the sweep to hold."""
+
+
+@dataclass(frozen=True)
+class ResumeRequested:
+    """The operator wants the sweep to go on."""
+
+
+@dataclass(frozen=True)
+class StopRequested:
+    """The sweep shall end early; what was taken is kept."""
+
+    outcome: Outcome = Outcome.STOPPED
+    reason: str = "stopped by the operator"
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Time has passed."""
+
+    sound_ns: int | None = None
+    """``StageStatus.sound_ns``."""
+
+
+SweepEvent = StageEvent | CameraFrame | CameraGone | LaneEvent | PauseRequested | ResumeRequested | StopRequested | Tick

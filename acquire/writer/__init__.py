@@ -1,0 +1,1 @@
+"""The writer: scan files, durable and verified."""

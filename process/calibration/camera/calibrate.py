@@ -1,0 +1,279 @@
+"""Owns the calibration of the camera from pictures of a board: what it is, how well it is known, what cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from acquire.contract.errors import CalibrationError
+from process.calibration.board.detection import Board, BoardNotFoundError, Sighting, find_board
+from process.calibration.board.poses import Pose, find_pose, project
+
+from .bundle import NAMES, Fit, as_vector, joint_covariance
+from .selection import MIN_VIEWS, choose_corners, choose_model, harmful_view
+
+F8 = NDArray[np.float64]
+MIN_TILT_SPREAD_DEG = 3.0
+"""Views that are all parallel to within this say nothing about the focal length."""
+LITTLE_COVERAGE = 0.5
+VOLUME_HALF_HEIGHT_MM = 0.5
+DRAWS = 40
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture and what became of it."""
+
+    name: str
+    sighting: Sighting | None
+    reason: str = ""
+    """Why it was left out; empty when it was used."""
+    rms_px: float = float("nan")
+    tilt_deg: float = float("nan")
+
+
+@dataclass(frozen=True)
+class CameraResult:
+    """A calibrated camera."""
+
+    size: tuple[int, int]
+    board: Board
+    fit: Fit
+    used: tuple[Sighting, ...]
+    views: tuple[View, ...]
+    stage: Pose | None
+    """Pose of the board lying flat; it makes the world. None: the world is the camera's own frame."""
+    corner_estimate: str
+    held_out_px: dict[str, float]
+    coverage: float
+    """Share of the field that the used corners span."""
+    predicted_um: tuple[float, float]
+    """Predicted error at the corners of the field: at z = 0 and half a millimetre above (standard deviations)."""
+    stage_sighting: Sighting | None = None
+    """The corners that ``stage`` is from."""
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def covariance(self) -> F8:
+        """[15, 15] of the intrinsics and the world's pose (rotation vector, translation)."""
+        if self.stage is not None and self.stage_sighting is not None:
+            return joint_covariance(self.fit, self.stage_sighting, as_vector(self.stage))
+        found = np.zeros((15, 15))
+        found[:9, :9] = self.fit.covariance
+        return found
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard deviations of the intrinsics."""
+        return dict(zip(NAMES, np.sqrt(np.diag(self.fit.covariance)).tolist(), strict=True))
+
+    def document(self) -> dict[str, Any]:
+        """The ``camera`` object of calibration.json, with its quality."""
+        rotation = np.eye(3) if self.stage is None else self.stage.rotation
+        translation = np.zeros(3) if self.stage is None else self.stage.translation
+        return {
+            "width": self.size[0],
+            "height": self.size[1],
+            "K": self.fit.matrix.tolist(),
+            "distortion": self.fit.distortion.tolist(),
+            "R": rotation.tolist(),
+            "T": translation.tolist(),
+            "quality": {
+                "rms_px": self.fit.rms_px,
+                "sd": self.sd,
+                "covariance": self.covariance.tolist(),
+                "model": self.fit.model,
+                "held_out_px": self.held_out_px,
+                "corner_estimate": self.corner_estimate,
+                "coverage": self.coverage,
+                "predicted_um": {"at_z0": self.predicted_um[0], "at_half_mm": self.predicted_um[1]},
+                "views": [
+                    {"name": v.name, "used": not v.reason, "reason": v.reason, "rms_px": _number(v.rms_px)}
+                    for v in self.views
+                ],
+                "notes": list(self.notes),
+            },
+        }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def calibrate_camera(
+    pictures: Sequence[tuple[str, NDArray[np.generic]]], board: Board, stage: str | None = None, corners: str = "auto"
+) -> CameraResult:
+    """The camera from named pictures of the board.
+
+    Args:
+        pictures: (name, grey or RGB pixels), all of one size.
+        board: the pattern.
+        stage: name of the picture with the board lying flat on the stage: z = 0, origin in the middle of the pattern.
+        corners: estimate of the corners: saddle, sector, gradient, or auto (which fits best, or the mean of two).
+
+    Raises:
+        CalibrationError: fewer than three usable views, parallel views, sizes that differ, a stage view that cannot
+            carry the world: each in its own words.
+    """
+    size = _common_size(pictures)
+    if stage is not None and stage not in [name for name, _ in pictures]:
+        raise CalibrationError(f"the stage view {stage} is not among the pictures: name one of them")
+    found = [_view(name, pixels, board) for name, pixels in pictures]
+    good = [view for view in found if view.sighting is not None]
+    if not good:
+        raise CalibrationError(f"the board was found in none of {len(found)} pictures: {found[0].reason}")
+    _enough(len(good), found)
+    sightings, estimate = choose_corners([view.sighting for view in good if view.sighting], size, corners)
+    names, dropped = [view.name for view in good], {}
+    fit, held_out = choose_model(sightings, size)
+    while (harm := harmful_view(sightings, fit, names.index(stage) if stage in names else None)) is not None:
+        index, reason = harm
+        dropped[names[index]] = reason
+        if len(names) - 1 < MIN_VIEWS:
+            raise CalibrationError(f"too few views: without {names[index]} only {len(names) - 1} are left; {reason}")
+        del names[index], sightings[index]
+        fit, held_out = choose_model(sightings, size)
+    _not_parallel(fit)
+    views = [_account(view, names, dropped, fit) for view in found]
+    pose = None if stage is None else _stage_pose(stage, names, sightings, found, fit)
+    coverage = _coverage(sightings, size)
+    predicted = _predicted_um(fit, size, sightings[names.index(stage)] if stage in names else sightings[0])
+    return CameraResult(
+        size, board, fit, tuple(sightings), tuple(views), pose, estimate, held_out, coverage, predicted,
+        sightings[names.index(stage)] if stage in names else None,
+        _notes(fit, size, coverage, predicted, sightings, world=stage is not None),
+    )  # fmt: skip
+
+
+def _common_size(pictures: Sequence[tuple[str, NDArray[np.generic]]]) -> tuple[int, int]:
+    if not pictures:
+        raise CalibrationError("no pictures were given: name some of the board in different tilts")
+    height, width = pictures[0][1].shape[:2]
+    for name, pixels in pictures:
+        if pixels.shape[:2] != (height, width):
+            raise CalibrationError(
+                f"{name} has {pixels.shape[1]} x {pixels.shape[0]} pixels, {pictures[0][0]} {width} x {height}: "
+                "take all of them with one camera setting"
+            )
+    return width, height
+
+
+def _view(name: str, pixels: NDArray[np.generic], board: Board) -> View:
+    try:
+        return View(name, find_board(pixels, board))
+    except BoardNotFoundError as error:
+        return View(name, None, str(error))
+
+
+def _enough(count: int, found: Sequence[View]) -> None:
+    if count >= MIN_VIEWS:
+        return
+    why = next((f"; {view.name}: {view.reason}" for view in found if view.reason), "")
+    raise CalibrationError(f"too few views: the board was found in {count} of {len(found)}, it takes {MIN_VIEWS}{why}")
+
+
+def _not_parallel(fit: Fit) -> None:
+    normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in fit.poses])
+    spread = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max())
+    if spread < MIN_TILT_SPREAD_DEG:
+        raise CalibrationError(
+            f"all views are parallel (tilts differ by {spread:.1f} degrees): the focal length cannot be told; "
+            "tilt the board by 10 to 30 degrees in several directions"
+        )
+
+
+def _account(view: View, names: Sequence[str], dropped: dict[str, str], fit: Fit) -> View:
+    if view.name not in names:
+        return View(view.name, view.sighting, dropped.get(view.name, view.reason))
+    index = names.index(view.name)
+    normal = np.asarray(cv2.Rodrigues(fit.poses[index][:3])[0])[:, 2]
+    tilt = float(np.degrees(np.arccos(min(abs(float(normal[2])), 1.0))))
+    return View(view.name, view.sighting, "", fit.view_rms_px[index], tilt)
+
+
+def _stage_pose(
+    stage: str, names: Sequence[str], sightings: Sequence[Sighting], found: Sequence[View], fit: Fit
+) -> Pose:
+    if stage not in names:
+        reason = next(view.reason for view in found if view.name == stage)
+        raise CalibrationError(f"the stage view {stage} cannot carry the world: {reason}")
+    view = sightings[names.index(stage)]
+    if not view.whole:
+        raise CalibrationError(f"the stage view {stage} shows only part of the board: its middle is the world's origin")
+    pose = find_pose(view.object_mm, view.pixels, fit.matrix, fit.distortion)
+    if pose.ambiguous:
+        raise CalibrationError(
+            f"the stage view {stage} has two poses that explain it nearly equally ({pose.rms_px:.3f} and "
+            f"{pose.mirrored_rms_px:.3f} px): use a larger board or a sharper picture"
+        )
+    return pose
+
+
+def _coverage(sightings: Sequence[Sighting], size: tuple[int, int]) -> float:
+    points = np.concatenate([view.pixels for view in sightings]).astype(np.float32)
+    return float(cv2.contourArea(cv2.convexHull(points.reshape(-1, 1, 2)))) / (size[0] * size[1])
+
+
+def _predicted_um(fit: Fit, size: tuple[int, int], view: Sighting) -> tuple[float, float]:
+    """Standard deviation in um of a point at a corner of the field, on the board's plane and above it.
+
+    Cameras are drawn from the covariance; each is given the pose in which it sees the board's corners where they were.
+    """
+    nominal = find_pose(view.object_mm, view.pixels, fit.matrix, fit.distortion)
+    seen = project(view.object_mm, nominal.rotation_vector, nominal.translation, fit.matrix, fit.distortion)
+    corners = np.array([[x, y] for x in (0.0, size[0] - 1.0) for y in (0.0, size[1] - 1.0)])
+    reference = _on_plane(corners, nominal, fit.matrix, fit.distortion)
+    values, vectors = np.linalg.eigh(fit.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0))
+    generator, errors = np.random.default_rng(1), []
+    for _ in range(DRAWS):
+        drawn = fit.intrinsics + root @ generator.normal(size=9)
+        other = Fit(drawn, (), fit.covariance, 0.0, (), fit.model)
+        pose = find_pose(view.object_mm, seen, other.matrix, other.distortion)
+        errors.append(_on_plane(corners, pose, other.matrix, other.distortion) - reference)
+    spread = np.sqrt((np.array(errors)[..., :2] ** 2).sum(axis=-1).mean(axis=0)).max(axis=0)
+    return float(spread[0]) * 1000, float(spread[1]) * 1000
+
+
+def _on_plane(pixels: F8, pose: Pose, matrix: F8, distortion: F8) -> F8:
+    """Where rays meet z = 0 and z = VOLUME_HALF_HEIGHT_MM of the board: [n, 2, 3]."""
+    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(-1, 2)
+    rays = np.column_stack([flat, np.ones(len(flat))]) @ pose.rotation
+    centre = -pose.rotation.T @ pose.translation
+    heights = (0.0, np.sign(centre[2]) * VOLUME_HALF_HEIGHT_MM)
+    return np.stack([centre + ((height - centre[2]) / rays[:, 2])[:, None] * rays for height in heights], axis=1)
+
+
+def _notes(
+    fit: Fit, size: tuple[int, int], coverage: float, predicted: tuple[float, float],
+    sightings: Sequence[Sighting], *, world: bool,
+) -> tuple[str, ...]:  # fmt: skip
+    sd = np.sqrt(np.diag(fit.covariance))
+    notes = []
+    if sd[0] / fit.intrinsics[0] > 2e-3 and fit.intrinsics[0] > 4 * size[0]:
+        distance = float(np.median([pose[5] for pose in fit.poses]))
+        notes.append(
+            f"focal length and distance can hardly be told apart (nearly telecentric): f is {fit.intrinsics[0]:.0f} "
+            f"+- {sd[0]:.0f} px at {distance:.1f} mm; points in the volume near the board stay right"
+        )
+    if max(sd[2], sd[3]) > 0.01 * size[0]:
+        notes.append(
+            f"the principal point is known to +- {max(sd[2], sd[3]):.0f} px only; it trades against tilt, "
+            "and points near the board stay right"
+        )
+    widest = max(float(np.ptp(v.pixels[:, 0]) * np.ptp(v.pixels[:, 1])) for v in sightings) / (size[0] * size[1])
+    if widest < LITTLE_COVERAGE and world:
+        notes.append(
+            f"the board fills {100 * widest:.0f} % of the field at most: predicted error at the corners of the field "
+            f"{predicted[0]:.1f} um on the board's plane, {predicted[1]:.1f} um half a millimetre above"
+        )
+    if coverage < LITTLE_COVERAGE:
+        notes.append(f"all views together cover {100 * coverage:.0f} % of the field: move the board about")
+    if fit.rms_px > 0.3:
+        notes.append(f"the corners miss by {fit.rms_px:.2f} px: blurred pictures, or a board that is not flat")
+    return tuple(notes)

@@ -1,0 +1,135 @@
+"""Owns choices that the data make: how many distortion terms, which corner estimate, which views are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.calibration.board.detection import Sighting
+from process.calibration.board.poses import find_pose
+
+from .bundle import MODELS, Fit, fit_camera, thinned
+
+MOST_FOLDS = 10
+HELD_OUT_CORNERS = 300
+WORTHWHILE = 0.002
+"""A model with more terms has to lower the held-out error by this share."""
+COMPARABLE = 1.2
+"""Estimates of the corners whose residuals differ by more are not averaged: the worse one would bring its bias."""
+SURE = 1.0
+"""Standard deviations by which the first radial term differs from nothing where it is taken all the same: points where
+no view was are nearer to the truth with it then."""
+HARMFUL = 3.0
+"""A view whose residual is so many times the median of the others does not show the same board."""
+HARMFUL_FLOOR_PX = 0.05
+MIN_VIEWS = 3
+K1 = 4
+"""Where the first radial term lies among the intrinsics."""
+
+
+def choose_model(
+    views: Sequence[Sighting], size: tuple[int, int], start: Fit | None = None
+) -> tuple[Fit, dict[str, float]]:
+    """The fit with the distortion model that predicts views it has not seen best, and each model's held-out RMS in px.
+
+    A model with more terms is taken only if it predicts clearly better. For the first radial term (every lens has
+    it) that is by WORTHWHILE, or if it is larger than its own uncertainty: a small board in the middle of the field
+    hardly shows it, and at the corners it is microns. For more terms also by more than the standard error of the
+    difference over the views: what they fit by chance is far off where no board was. A first term that is left out is
+    uncertain still.
+    """
+    first = fit_camera(views, size, "k1", start)
+    fits, squares = {}, {}
+    for model in MODELS:
+        fits[model] = fit_camera(views, size, model, start=first)
+        squares[model] = held_out(views, size, fits[model])
+    chosen = "none"
+    for model in MODELS:
+        gain = squares[chosen] - squares[model]
+        doubt = float(gain.std(ddof=1)) / np.sqrt(len(gain)) if len(gain) > 1 else 0.0
+        if model == "k1":
+            doubt = 0.0
+        better = gain.mean() > max(2 * WORTHWHILE * float(squares[chosen].mean()), doubt)
+        if better or (model == "k1" and _sure_of_k1(fits[model])):
+            chosen = model
+    if chosen == "none":
+        fits[chosen] = replace(fits[chosen], covariance=without_k1(fits["k1"]))
+    return fits[chosen], {model: float(np.sqrt(found.mean())) for model, found in squares.items()}
+
+
+def _sure_of_k1(fit: Fit) -> bool:
+    return bool(abs(fit.intrinsics[K1]) > SURE * np.sqrt(fit.covariance[K1, K1]))
+
+
+def without_k1(fit: Fit) -> NDArray[np.float64]:
+    """Covariance [9, 9] of a camera whose first radial term is left out: it may be what ``fit`` found, or more."""
+    answer = fit.covariance[:, K1] / max(float(fit.covariance[K1, K1]), 1e-300)
+    return np.asarray(fit.covariance + fit.intrinsics[K1] ** 2 * np.outer(answer, answer), dtype=np.float64)
+
+
+def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: Fit) -> NDArray[np.float64]:
+    """Mean square in px^2 of each view that was not in the fit: its pose is free, the camera is that of the others."""
+    folds = min(len(views), MOST_FOLDS)
+    views = thinned(views, HELD_OUT_CORNERS)
+    found = np.zeros(len(views))
+    for fold in range(folds):
+        kept = [index for index in range(len(views)) if index % folds != fold]
+        start = replace(fit, poses=tuple(fit.poses[index] for index in kept))
+        others = fit_camera([views[index] for index in kept], size, fit.model, start=start)
+        for index in range(fold, len(views), folds):
+            view = views[index]
+            found[index] = find_pose(view.object_mm, view.pixels, others.matrix, others.distortion).rms_px ** 2
+    return found
+
+
+def choose_corners(
+    views: Sequence[Sighting], size: tuple[int, int], wanted: str = "auto"
+) -> tuple[list[Sighting], str]:
+    """The views with one estimate of their corners, and its name.
+
+    ``auto`` takes the estimate that fits one camera best, or its mean with the second best, each weighted by the
+    inverse of its variance, where the two are comparable and their mean fits better still: their errors are partly
+    independent. A view that lacks an estimate keeps its own.
+    """
+    if wanted != "auto":
+        return _with_corners(views, wanted), wanted
+    names = ["saddle", *(name for name in ("sector", "gradient") if any(name in view.others for view in views))]
+    by_name = {name: _with_corners(views, name) for name in names}
+    rms = {name: fit_camera(chosen, size, "k1").rms_px for name, chosen in by_name.items()}
+    best, *others = sorted(names, key=rms.__getitem__)
+    if not others or rms[others[0]] > COMPARABLE * rms[best]:
+        return by_name[best], best
+    second = others[0]
+    share = rms[second] ** 2 / (rms[best] ** 2 + rms[second] ** 2)
+    blend = [
+        replace(one, pixels=share * one.pixels + (1 - share) * two.pixels)
+        for one, two in zip(by_name[best], by_name[second], strict=True)
+    ]
+    if fit_camera(blend, size, "k1").rms_px < rms[best]:
+        return blend, f"{best} + {second}"
+    return by_name[best], best
+
+
+def _with_corners(views: Sequence[Sighting], name: str) -> list[Sighting]:
+    return [replace(view, pixels=view.others.get(name, view.pixels), others={}) for view in views]
+
+
+def harmful_view(views: Sequence[Sighting], fit: Fit, keep: int | None) -> tuple[int, str] | None:
+    """The view that fits worst, if it should be left out, with the reason; never view ``keep``."""
+    median = float(np.median(fit.view_rms_px))
+    for index in np.argsort(fit.view_rms_px)[::-1]:
+        own = fit.view_rms_px[index]
+        if own > max(HARMFUL * median, HARMFUL_FLOOR_PX) and index != keep:
+            return int(index), (
+                f"its corners miss those of the other views by {own:.3f} px (median {median:.3f}): "
+                "blurred, bent, or another board"
+            )
+    for index, view in enumerate(views):
+        if index == keep:
+            continue
+        if find_pose(view.object_mm, view.pixels, fit.matrix, fit.distortion).ambiguous:
+            return index, "its two poses, tilted forth and back, explain it nearly equally: tilt the board more"
+    return None

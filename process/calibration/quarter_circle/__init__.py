@@ -1,0 +1,1 @@
+"""The light plane from the quarter circle."""

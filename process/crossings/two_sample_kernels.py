@@ -1,0 +1,199 @@
+"""Own the per-pixel arithmetic of crossings: samples from columns, the estimates from two of them, sigma, quality.
+
+Everything is in the folded signal (the complement for falling edges) and in float64, in the written order.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.crossings.quality import Quality
+from process.numba_cache import inlined_kernel, kernel
+from process.pixel_layout import NEVER, NO_DIP
+
+GAUSS = 2.5066
+"""sqrt(2 pi): an erf edge of standard deviation w and height A has the slope A / (GAUSS w)."""
+
+_LIT = int(Quality.LIT_AT_START)
+_PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
+_NO_DARK = int(Quality.NO_DARK_LEVEL)
+_SEVERAL = int(Quality.SEVERAL)
+_MISSING = int(Quality.MISSING_NEIGHBOUR)
+
+
+class Samples(NamedTuple):
+    """What an estimate of a crossing needs of each pixel; flat arrays [pixels], levels of the folded signal."""
+
+    minimum: NDArray[np.uint16]
+    maximum: NDArray[np.uint16]
+    first: NDArray[np.uint16]
+    """Value in the first folded frame."""
+    ordinal: NDArray[np.int32]
+    """First frame at or above S as its place among the folded ones; NEVER or UNKNOWN."""
+    level: NDArray[np.uint16]
+    """Value in that frame."""
+    before: NDArray[np.uint16]
+    """Value in the folded frame before it."""
+    later_dip: NDArray[np.int32]
+    """Lowest value from there to the last new maximum; NO_DIP where there is no later one."""
+    last_ordinal: NDArray[np.int32]
+    """Place of the frame of the first maximum."""
+    tail_dip: NDArray[np.uint16]
+    """Lowest value from the first maximum on."""
+    tail_rise: NDArray[np.uint16]
+    """Largest rise above the running lowest value from the first maximum on."""
+
+
+@kernel
+def sample_columns(columns, samples):
+    """Fill samples from the whole sequence of some pixels: columns [frames, pixels], folded signal."""
+    frames, pixels = columns.shape
+    for pixel in range(pixels):
+        high = np.int64(columns[0, pixel])
+        low = high
+        last = 0
+        for k in range(1, frames):
+            value = np.int64(columns[k, pixel])
+            low = min(low, value)
+            if value > high:
+                high, last = value, k
+        first_above = 0
+        while 2 * np.int64(columns[first_above, pixel]) < low + high:
+            first_above += 1
+        later = np.int64(NO_DIP)
+        for k in range(first_above + 1, last + 1):
+            later = min(later, np.int64(columns[k, pixel]))
+        dip, rise = high, np.int64(0)
+        for k in range(last, frames):
+            value = np.int64(columns[k, pixel])
+            dip = min(dip, value)
+            rise = max(rise, value - dip)
+        samples.minimum[pixel], samples.maximum[pixel] = low, high
+        samples.first[pixel] = columns[0, pixel]
+        samples.ordinal[pixel] = first_above if first_above > 0 else NEVER
+        samples.level[pixel] = columns[first_above, pixel]
+        samples.before[pixel] = columns[max(first_above - 1, 0), pixel]
+        samples.later_dip[pixel], samples.last_ordinal[pixel] = later, last
+        samples.tail_dip[pixel], samples.tail_rise[pixel] = dip, rise
+
+
+@inlined_kernel
+def _edge_quality(width, crossing, from_last_maximum, still_bright, first, last):
+    # a pixel that the light has left again had its plateau, however short
+    bits = 0
+    if still_bright and from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
+        bits |= _PLATEAU
+    if crossing - first < 2.5 * width + 1:
+        bits |= _NO_DARK
+    return bits
+
+
+@inlined_kernel
+def _normal_density(z):
+    return math.exp(-0.5 * z * z) / GAUSS
+
+
+@kernel
+def normal_quantile(p):
+    """Inverse of the cumulative normal distribution, 0 < p < 1: Halley's steps from the logistic one."""
+    z = math.log(p / (1.0 - p)) / 1.702
+    for _ in range(4):
+        off = (0.5 * math.erfc(-z / math.sqrt(2.0)) - p) / _normal_density(z)
+        z -= off / (1.0 + 0.5 * z * off)
+    return z
+
+
+@kernel
+def probit_fraction(base, level, low, high):
+    """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 1) / noise.
+
+    Shares of the range are kept half a level away from 0 and 1, where the quantile has no end.
+    """
+    span = high - low + 1.0
+    return fraction_between(_quantile_of(base - low, span), _quantile_of(level - low, span), span)
+
+
+@inlined_kernel
+def _quantile_of(above, span):
+    least = 0.5 / span
+    return normal_quantile(min(max((above + 0.5) / span, least), 1.0 - least))
+
+
+@kernel
+def fill_quantiles(table):
+    """table[s, a] for a < s: quantile of a level that lies a above the lowest of s levels, as ``probit_fraction``."""
+    for span in range(1, table.shape[0]):
+        for above in range(span):
+            table[span, above] = _quantile_of(np.float64(above), np.float64(span))
+
+
+@kernel
+def fraction_between(z0, z1, span):
+    """As ``probit_fraction``, from the quantiles of the two samples and the number of levels of the range."""
+    if z1 <= z0:
+        return 0.5, span
+    steep = (z1 - z0) * (z1 - z0)
+    scatter = np.hypot(z1 / _normal_density(z0), z0 / _normal_density(z1)) / steep
+    return min(max(-z0 / (z1 - z0), 0.0), 1.0), scatter
+
+
+@kernel
+def look_up(numbers, places, out):
+    """out[i] = numbers[places[i]]."""
+    for i in range(places.size):
+        out[i] = numbers[places[i]]
+
+
+@kernel
+def estimate_crossings(selected, samples, present, noise, probit, quantiles, crossing, sigma, quality):
+    """Crossing (frame index) from two samples, sigma (frames) and quality of the selected pixels.
+
+    selected: flat indices into samples and the outputs. present: frame index of each folded frame.
+    noise: standard deviation in levels. probit: interpolate in the inverse normal of the range's share, not
+    in the levels; quantiles [s, a]: ``fill_quantiles``, of ranges up to its size, or empty. Outputs are changed
+    only at selected pixels; a pixel whose crossing is UNKNOWN is left alone.
+    """
+    first, last = present[0], present[present.size - 1]
+    for index in range(selected.size):
+        pixel = selected[index]
+        low, high = np.int64(samples.minimum[pixel]), np.int64(samples.maximum[pixel])
+        total = low + high
+        if 2 * np.int64(samples.first[pixel]) >= total:
+            quality[pixel] |= _LIT
+            continue
+        ordinal = samples.ordinal[pixel]
+        if ordinal < 0:
+            continue
+        after, before = present[ordinal], present[ordinal - 1]
+        base = np.float64(samples.before[pixel])
+        step = np.float64(samples.level[pixel]) - base
+        half = np.float64(total) / 2.0
+        span = np.float64(after - before)
+        time = before + span * (half - base) / step
+        fraction = (half - base) / step
+        scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
+        if probit:
+            levels = high - low + 1
+            if levels < quantiles.shape[0]:
+                z0, z1 = quantiles[levels, samples.before[pixel] - low], quantiles[levels, samples.level[pixel] - low]
+                fraction, scatter = fraction_between(z0, z1, np.float64(levels))
+            else:
+                fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
+            time, scatter = before + span * fraction, scatter * span * noise / (high - low + 1.0)
+        crossing[pixel], sigma[pixel] = time, scatter
+        width = np.float64(high - low) / (GAUSS * step / span)
+        behind = np.float64(last - present[samples.last_ordinal[pixel]])
+        still_bright = 2 * np.int64(samples.tail_dip[pixel]) >= total
+        bits = _edge_quality(width, time, behind, still_bright, first, last)
+        quarter = 3 * low + high
+        if 4 * np.int64(samples.later_dip[pixel]) <= quarter:
+            bits |= _SEVERAL
+        if 4 * np.int64(samples.tail_dip[pixel]) <= quarter and 2 * np.int64(samples.tail_rise[pixel]) >= high - low:
+            bits |= _SEVERAL
+        if after - before > 1:
+            bits |= _MISSING
+        quality[pixel] |= bits

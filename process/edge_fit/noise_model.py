@@ -1,0 +1,106 @@
+"""Owns the noise model of a scan: variance against level, measured from its own frames where nothing moves.
+
+Promises a variance of at least the rounding's, 1/12 level squared, at every level of the scale.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.numba_cache import kernel
+
+ROUNDING_VARIANCE = 1.0 / 12.0
+PAIRS = 16
+"""Pairs of neighbouring frames whose differences make one figure; fewer where the plateau is short."""
+LEAST_PAIRS = 6
+LEAST_FIGURES = 50
+"""Fewer figures than this say nothing about a whole scan."""
+BINS = 12
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance = floor + slope x level, of the folded signal, in levels squared."""
+
+    floor: float
+    slope: float
+    measured: bool
+    """False: taken from the configuration, because the frames did not tell."""
+
+    def coefficients(self) -> NDArray[np.float64]:
+        """[2] floor and slope, for kernels."""
+        return np.array([self.floor, self.slope])
+
+    def sigma_at(self, level: float) -> float:
+        """Standard deviation at a level, in levels."""
+        return math.sqrt(max(self.floor + self.slope * level, ROUNDING_VARIANCE))
+
+
+def assumed_noise(noise_levels: float) -> NoiseModel:
+    """The same noise at every level: read noise of the configuration, and rounding."""
+    return NoiseModel(noise_levels**2 + ROUNDING_VARIANCE, 0.0, measured=False)
+
+
+@kernel
+def noise_figures(rows, pairs, top, falling, figures):
+    """Fill figures [:, 2] (mean level, variance) from rows [n, 2 x PAIRS] of levels; returns how many there are.
+
+    pairs [n]: pairs of neighbouring frames of each row that count; their differences let slow changes cancel. A
+    variance is corrected so that the median over many is that of the noise; a row with too few pairs or with a value
+    at an end of the scale (0 or top) is left out. falling: the complement is folded, the levels are of that.
+    """
+    count = 0
+    for i in range(rows.shape[0]):
+        total, squares, inside = 0.0, 0.0, pairs[i] >= LEAST_PAIRS
+        for pair in range(pairs[i] if inside else 0):
+            one, other = float(rows[i, 2 * pair]), float(rows[i, 2 * pair + 1])
+            if min(one, other) <= 0 or max(one, other) >= top:
+                inside = False
+                break
+            total += one + other
+            squares += (one - other) * (one - other)
+        if inside:
+            level = total / (2 * pairs[i])
+            figures[count, 0] = top - level if falling else level
+            figures[count, 1] = squares / (2 * pairs[i]) / (1.0 - 2.0 / (9.0 * pairs[i])) ** 3
+            count += 1
+    return count
+
+
+def guard_frames(frames: int) -> int:
+    """Frames about a crossing that are kept out of the noise: more than an edge is wide, if the scan is long enough."""
+    return min(40, max(8, frames // 8))
+
+
+def model_from(found: NDArray[np.float64], full: int, fallback: NoiseModel) -> NoiseModel:
+    """The line through the medians of the figures [n, 2] by level; ``fallback`` where they are too few."""
+    if len(found) < LEAST_FIGURES:
+        return fallback
+    order = np.argsort(found[:, 0], kind="stable")
+    parts = np.array_split(found[order], BINS)
+    level = np.array([np.median(part[:, 0]) for part in parts])
+    variance = np.maximum([np.median(part[:, 1]) for part in parts], ROUNDING_VARIANCE)
+    if level[-1] - level[0] < 0.05 * full:
+        return NoiseModel(float(np.mean(variance)), 0.0, measured=True)
+    floor, slope = _line(level, variance)
+    least = min(floor, floor + slope * full)
+    if least < ROUNDING_VARIANCE:  # turn the line about its middle until it is possible at both ends
+        middle = float(np.median(level))
+        pivot = floor + slope * middle
+        reach = middle if floor < floor + slope * full else full - middle
+        steep = max(pivot - ROUNDING_VARIANCE, 0.0) / max(reach, 1.0)
+        slope = math.copysign(min(abs(slope), steep), slope)
+        floor = pivot - slope * middle
+    return NoiseModel(float(floor), float(slope), measured=True)
+
+
+def _line(level: NDArray[Any], variance: NDArray[Any]) -> tuple[float, float]:
+    """Least squares of relative residuals: the scatter of a variance is proportional to it."""
+    design = np.stack([np.ones_like(level), level], axis=1) / variance[:, None]
+    (floor, slope), *_ = np.linalg.lstsq(design, np.ones_like(level), rcond=None)
+    return float(floor), float(slope)

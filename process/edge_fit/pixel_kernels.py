@@ -1,0 +1,218 @@
+"""Own the estimate of many pixels: examine the edge of each, and say what the rest of the sweep has against it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from process.crossings.quality import Quality
+from process.crossings.two_sample_kernels import probit_fraction
+from process.edge_fit.erf_fit_kernels import SHARP, fit_edge
+from process.edge_fit.initial_guess import find_edge, sharp_samples
+from process.numba_cache import inlined_kernel, kernel
+
+FAR = 200
+"""Frames to each side of a first crossing that an edge is looked for in."""
+TOO_NEAR_WIDTHS = 3.0
+"""A plateau shorter than so many widths of the edge, and a frame, was not reached."""
+
+FAINT = 225.0
+"""Square of the range over the variance of the noise, below which a first crossing may be noise alone."""
+
+NOTHING, FITTED, LOCAL, NOISE = range(4)
+"""What came of an edge: no estimate, that of the whole edge, that between the levels right beside it; and no edge,
+where the range may be that of noise alone."""
+LOW, HEIGHT, CROSSING, WIDTH, SIGMA, OPEN_END, ASKED, MOST_EXTENT, COURSE, COLUMNS = range(10)
+"""Columns of what was found: levels, frames, frames, frames; 1 if bright to the end of the samples; last sample that
+was asked for; range of the pixel up to which the outcome holds (see find_edge); how its light goes on."""
+STEADY, DARK_AGAIN, SEVERAL_LEVELS = 0.0, 1.0, 2.0
+"""Courses: one edge so far; the light has gone again; it came twice, or there are plateaus beyond those of the edge."""
+
+_FILTERED = int(Quality.FILTERED)
+_PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
+_NO_DARK = int(Quality.NO_DARK_LEVEL)
+_SEVERAL = int(Quality.SEVERAL)
+
+
+@kernel
+def follow(samples, times, found, noise):
+    """Set COURSE of found by the samples that follow those seen before: in pieces or at once, it comes out the same."""
+    low, height, crossing, width = found[LOW], found[HEIGHT], found[CROSSING], found[WIDTH]
+    dark = math.sqrt(max(noise[0] + noise[1] * low, 0.1))
+    bright = math.sqrt(max(noise[0] + noise[1] * (low + height), 0.1))
+    floor, roof = low - 0.15 * height - 5.0 * dark, low + 1.15 * height + 5.0 * bright
+    middle = low + 0.5 * height
+    margin = min(4.0 * 0.5 * (dark + bright), 0.25 * height)
+    before, after = crossing - 3.0 * width - 1.0, crossing + 3.0 * width + 1.0
+    left = found[COURSE] == DARK_AGAIN
+    for k in range(samples.size):
+        value, time = samples[k], times[k]
+        beyond = value < floor or value > roof
+        if beyond or (value > middle + margin and (time < before or (left and time > after))):
+            found[COURSE] = SEVERAL_LEVELS
+            return
+        if value < middle - margin and time > after:
+            left = True
+    found[COURSE] = DARK_AGAIN if left else STEADY
+
+
+@kernel
+def local_probit(samples, times, place, seen, noise, found):
+    """Crossing of a sharp edge from the two samples about half brightness, between the levels right beside them.
+
+    What is slow on a plateau (stray light before the edge, a lamp that drifts) does not move it. Sets LOW, HEIGHT,
+    CROSSING, SIGMA of found. False where there are no levels on both sides, or not the edge.
+    """
+    if place < 3 or place + 2 >= samples.size:
+        return False
+    low = 0.5 * (samples[place - 3] + samples[place - 2])
+    high = 0.5 * (samples[place + 1] + samples[place + 2])
+    if high - low < 0.5 * seen or high - low < 1.0:
+        return False
+    fraction, scatter = probit_fraction(samples[place - 1], samples[place], low, high)
+    span = times[place] - times[place - 1]
+    spread = max(noise[0] + noise[1] * 0.5 * (low + high), 1.0 / 12.0)
+    found[LOW], found[HEIGHT] = low, high - low
+    found[CROSSING] = times[place - 1] + span * fraction
+    found[SIGMA] = max(scatter * span, 0.5) * math.sqrt(spread) / (high - low + 1.0)
+    return True
+
+
+@inlined_kernel
+def _stretch(row, count, full):
+    # samples of the folded signal; full: full scale of a falling edge, whose complement is folded, else 0
+    samples = np.empty(count)
+    for k in range(count):
+        samples[k] = full - float(row[k]) if full else float(row[k])
+    return samples
+
+
+@inlined_kernel
+def _seen(extent, spread):
+    return extent - 5.0 * math.sqrt(spread)
+
+
+@inlined_kernel
+def _extent_of(least_height, spread):
+    # the largest whole extent whose _seen is not more than twice the height
+    most = math.floor(2.0 * least_height + 5.0 * math.sqrt(spread)) + 1.0
+    while 0.5 * _seen(most, spread) > least_height:
+        most -= 1.0
+    return most
+
+
+@kernel
+def examine(samples, times, place, extent, noise, sharp_width, local, found):
+    """What the edge at sample `place`, the first at or above half brightness, tells; returns one of the outcomes.
+
+    samples, times [n]: levels and frames. extent: range of the pixel in the whole sweep. local: a sharp edge that is
+    no erf, or none that can be fitted, gets its crossing from local_probit. found [COLUMNS] is filled.
+    """
+    guess, model = np.empty(6), np.empty(9)
+    spread = max(noise[0] + noise[1] * samples[place], 1.0 / 12.0)
+    seen = _seen(extent, spread)
+    fits = find_edge(samples, place, seen, spread, guess)
+    found[OPEN_END], found[ASKED], found[COURSE] = 0.0, guess[4] if fits else math.inf, STEADY
+    least_height = guess[5] if fits else math.inf
+    sharp = not fits or guess[3] < SHARP
+    if fits:
+        fits = fit_edge(samples, times, guess, sharp_width, noise, model)
+        found[ASKED] = max(found[ASKED], model[8])
+    fits = fits and abs(model[2] - times[place]) <= 4.0 * model[3] + 4.0
+    faint = extent * extent < FAINT * spread
+    uneven = local and sharp and not faint and not (fits and model[5] <= model[6])
+    if uneven and local_probit(samples, times, place, seen, noise, found):
+        found[MOST_EXTENT] = _extent_of(min(least_height, found[HEIGHT]), spread)
+        found[WIDTH] = math.nan
+        return LOCAL
+    if not fits:
+        return NOISE if local and faint else NOTHING
+    found[LOW], found[HEIGHT], found[CROSSING], found[WIDTH] = model[0], model[1], model[2], model[3]
+    # a chi squared that chance explains says nothing about sigma
+    found[SIGMA] = model[4] * math.sqrt(model[5]) if model[5] > model[6] else model[4]
+    found[OPEN_END], found[MOST_EXTENT] = model[7], _extent_of(least_height, spread)
+    return FITTED
+
+
+@kernel
+def count_sharp(rows, full, first, end, start, noise):
+    """(Samples between 10 and 90 %, edges) summed over the sharp edges of some pixels.
+
+    rows [pixels, :]: their levels at the places first[i] .. end[i] - 1; start[i]: place of the first one at or
+    above half brightness. Over edges at all phases as many samples fall into an interval as it is long: 2.563 widths.
+    """
+    guess = np.empty(6)
+    within, edges = 0, 0
+    for i in range(start.size):
+        samples = _stretch(rows[i], end[i] - first[i], full)
+        place = start[i] - first[i]
+        spread = max(noise[0] + noise[1] * samples[place], 1.0 / 12.0)
+        if find_edge(samples, place, 0.0, spread, guess) and guess[3] < SHARP:
+            count = sharp_samples(samples, place)
+            if count >= 0:
+                within += count
+                edges += 1
+    return within, edges
+
+
+@kernel
+def examine_rows(rows, full, times, first, end, start, extent, noise, sharp_width, local, early, outcome, found):
+    """Examine the edges of pixels, and follow their light to the end of what is there; all [i] unless said otherwise.
+
+    rows [pixels, :]: original levels at the places first .. end - 1; full: see _stretch; times [frames]; start: place
+    of the first level at or above half brightness. early: frames are still to come, and the outcome is NOTHING where
+    they could change it. Fills outcome and found [i, COLUMNS].
+    """
+    for i in range(start.size):
+        samples = _stretch(rows[i], end[i] - first[i], full)
+        stretch = times[first[i] : end[i]]
+        place = start[i] - first[i]
+        outcome[i] = examine(samples, stretch, place, extent[i], noise, sharp_width, local, found[i])
+        if early:
+            spread = max(noise[0] + noise[1] * samples[place], 1.0 / 12.0)
+            if not found[i, ASKED] + 1.0 < samples.size or extent[i] * extent[i] < FAINT * spread:
+                outcome[i] = NOTHING
+        if outcome[i] == FITTED:
+            follow(samples, stretch, found[i], noise)
+
+
+@kernel
+def follow_rows(rows, full, times, first, end, noise, outcome, found):
+    """Follow the light of pixels further: rows [pixels, :] are the levels at the places first .. end - 1; all [i]."""
+    for i in range(first.size):
+        if outcome[i] == FITTED and found[i, COURSE] != SEVERAL_LEVELS:
+            samples = _stretch(rows[i], end[i] - first[i], full)
+            follow(samples, times[first[i] : end[i]], found[i], noise)
+
+
+@kernel
+def conclude(pixels, first, end, times, outcome, found, noise, last_noise, lasting, crossing, sigma, quality, width):
+    """Write down the estimates of pixels (flat indices into the last five): crossing, sigma, width in frames, quality.
+
+    first, end [i]: stretch that was looked at. noise weighed the samples, last_noise says how large sigma is; lasting:
+    bits of quality that no estimate changes. Where an edge told nothing, the estimate stays as it is.
+    """
+    for i in range(pixels.size):
+        if outcome[i] == NOTHING:
+            continue
+        pixel, own = pixels[i], found[i]
+        if outcome[i] == NOISE:
+            quality[pixel] |= _FILTERED
+            continue
+        half = own[LOW] + 0.5 * own[HEIGHT]
+        weighed = max(noise[0] + noise[1] * half, 1.0 / 12.0)
+        crossing[pixel] = own[CROSSING]
+        sigma[pixel] = own[SIGMA] * math.sqrt(max(last_noise[0] + last_noise[1] * half, 1.0 / 12.0) / weighed)
+        if outcome[i] == LOCAL:
+            continue
+        width[pixel] = own[WIDTH]
+        near = TOO_NEAR_WIDTHS * own[WIDTH] + 1.0
+        bits = int(lasting[pixel])
+        if own[OPEN_END] > 0.0 and times[end[i] - 1] - own[CROSSING] < near:
+            bits |= _PLATEAU
+        if own[CROSSING] - times[first[i]] < near:
+            bits |= _NO_DARK
+        if own[COURSE] == SEVERAL_LEVELS:
+            bits |= _SEVERAL
+        quality[pixel] = bits

@@ -1,0 +1,177 @@
+"""Owns the estimates that look at the whole edge: reads the scan again in blocks of pixels, on two cores.
+
+Promises the same result however the blocks are cut, whichever thread takes them and whatever was estimated early,
+in bounded memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.crossings.maps import Maps, full_scale, quality_counts
+from process.crossings.quality import Quality
+from process.edge_fit.early_estimates import EarlyEstimates, Found, examine_pixels, follow_pixels, stretch_of
+from process.edge_fit.noise_model import NoiseModel, assumed_noise
+from process.edge_fit.pixel_kernels import NOTHING, conclude
+from process.edge_fit.weighting import Sequence, Watch, Weighing, grid, noise_of, sharp_width_of
+
+Method: TypeAlias = Literal["linear", "probit", "fit", "auto"]
+
+BLOCK_PIXELS = 1024
+"""Pixels of one block: their columns fit into the cache."""
+THREADS = 2
+NOISE_PIXELS = 6_000
+"""Pixels with a crossing, evenly chosen, that the noise of the whole scan is measured in."""
+DARK_PIXELS = 1000
+"""Pixels of the whole image, crossing or not, that are added to them."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Maps after the second look, and what was learnt on the way."""
+
+    maps: Maps
+    noise: NoiseModel
+    """Of the folded signal, in levels of the stored depth."""
+    width: NDArray[np.float32]
+    """[h, w] standard deviation of the edge in frames; NaN where nothing was fitted."""
+
+
+def refine(
+    maps: Maps, method: Method, sequence: Sequence, noise_counts: float, early: EarlyEstimates | None = None
+) -> Refined:
+    """The crossings of ``maps`` (linear or probit) estimated anew by ``method``, with sigma from the measured noise.
+
+    ``probit`` only gets its sigma from that noise. ``fit`` has no crossing where the edge cannot be fitted; ``auto``
+    keeps that of ``maps`` there. noise_counts: standard deviation in counts of 8 bit, for a scan too short or too
+    sparse to measure its own. early: estimates of the same frames.
+
+    Raises:
+        ScanFileError: the scan file was cut short.
+    """
+    fallback = assumed_noise(noise_counts * 2.0 ** (sequence.bit_depth - 8))
+    start = starts(maps, sequence.present)
+    noise = measure_noise(start, sequence, maps.mask.shape, fallback)
+    maps = _with_measured_sigma(maps, sequence, noise, noise_counts)
+    width: NDArray[np.float32] = np.full(maps.mask.shape, np.nan, np.float32)
+    if method in ("fit", "auto"):
+        watch = early.watch if early is not None else Watch(maps.mask.shape, fallback)
+        watch.look(sequence, len(sequence.present))
+        weighing = watch.weighing or Weighing(noise, _sharp_width(start, sequence, noise))
+        given = _Given(start, sequence, noise, weighing, early if watch.weighing else None, keep=method == "auto")
+        maps = _fitted(maps, given, width)
+    return Refined(maps, noise, width)
+
+
+def starts(maps: Maps, present: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Place among the folded frames of each pixel's first one at or above half brightness, [h * w]; -1 for none."""
+    crossing = maps.crossing.ravel()
+    found: NDArray[np.int64] = np.full(crossing.size, -1, np.int64)
+    known = np.flatnonzero(np.isfinite(crossing))
+    found[known] = np.minimum(np.searchsorted(present, crossing[known], side="left"), len(present) - 1)
+    return found
+
+
+def measure_noise(
+    start: NDArray[np.int64], sequence: Sequence, shape: tuple[int, int], fallback: NoiseModel
+) -> NoiseModel:
+    """Noise of the folded signal from the flat stretches beside the crossings of a scan; start as in :func:`starts`."""
+    known = np.flatnonzero(start >= 0)
+    chosen = known[:: max(1, -(-len(known) // NOISE_PIXELS))]
+    pixels = np.unique(np.concatenate([chosen, grid(shape, DARK_PIXELS)]))
+    return noise_of(sequence, pixels, start[pixels], fallback)
+
+
+def _sharp_width(start: NDArray[np.int64], sequence: Sequence, noise: NoiseModel) -> float:
+    known = np.flatnonzero(start >= 0)
+    return sharp_width_of(sequence, known, start[known], noise)
+
+
+def _with_measured_sigma(maps: Maps, sequence: Sequence, noise: NoiseModel, noise_counts: float) -> Maps:
+    """Sigma of two samples scaled from the configured noise to the measured one at half brightness."""
+    configured = noise_counts * 2.0 ** (sequence.bit_depth - 8)
+    if configured <= 0:
+        return maps
+    known = np.flatnonzero(np.isfinite(maps.sigma))
+    half = (maps.minimum.ravel()[known].astype(np.float64) + maps.maximum.ravel()[known]) / 2
+    if sequence.edge == "falling":
+        half = full_scale(sequence.bit_depth) - half
+    measured = np.sqrt(np.maximum(noise.floor + noise.slope * half, 1.0 / 12.0))
+    sigma = maps.sigma.copy()
+    sigma.reshape(-1)[known] *= (measured / configured).astype(np.float32)
+    return replace(maps, sigma=sigma)
+
+
+_Step: TypeAlias = Callable[[NDArray[np.int64]], Found]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What the fit of a block is told beside the maps."""
+
+    start: NDArray[np.int64]
+    sequence: Sequence
+    noise: NoiseModel
+    weighing: Weighing
+    early: EarlyEstimates | None
+    keep: bool
+
+
+def _examined(given: _Given, pixels: NDArray[np.int64], extent: NDArray[np.float64]) -> Found:
+    """What the edges of pixels tell: as it is known from before and followed to the end, or examined now."""
+    start, sequence, weighing = given.start[pixels], given.sequence, given.weighing
+    found = given.early.known(pixels, start, extent) if given.early is not None else Found.none(len(pixels))
+    old, new = np.flatnonzero(found.outcome != NOTHING), np.flatnonzero(found.outcome == NOTHING)
+
+    def follow(some: NDArray[np.int64]) -> Found:
+        part = found.of(some)
+        follow_pixels(sequence, weighing, pixels[some], start[some], part)
+        return part
+
+    def examine(some: NDArray[np.int64]) -> Found:
+        return examine_pixels(sequence, weighing, pixels[some], start[some], extent[some], local=given.keep)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        for some, part in pool.map(lambda todo: (todo[1], todo[0](todo[1])), _blocks((examine, new), (follow, old))):
+            for column, values in zip(found, part, strict=True):
+                column[some] = values
+    return found
+
+
+def _blocks(*todo: tuple[_Step, NDArray[np.int64]]) -> Iterator[tuple[_Step, NDArray[np.int64]]]:
+    """Each step with its pixels, in pieces."""
+    for step, pixels in todo:
+        for begin in range(0, len(pixels), BLOCK_PIXELS):
+            yield step, pixels[begin : begin + BLOCK_PIXELS]
+
+
+def _fitted(maps: Maps, given: _Given, width: NDArray[np.float32]) -> Maps:
+    crossing, sigma, quality = maps.crossing.copy(), maps.sigma.copy(), maps.quality.copy()
+    pixels = np.flatnonzero(given.start >= 0)
+    extent = maps.maximum.ravel()[pixels].astype(np.float64) - maps.minimum.ravel()[pixels]
+    found = _examined(given, pixels, extent)
+    noises = (given.weighing.told(given.sequence), given.noise.coefficients())
+    lasting = _lasting_bits(maps, given.sequence).ravel()
+    stretch = stretch_of(given.start[pixels], len(given.sequence.present))
+    outputs = [array.reshape(-1) for array in (crossing, sigma, quality, width)]
+    conclude(pixels, *stretch, given.sequence.times, found.outcome, found.columns, *noises, lasting, *outputs)
+    if not given.keep:
+        failed = np.isfinite(crossing) & np.isnan(width)
+        crossing[failed], sigma[failed] = np.nan, np.nan
+    counts = maps.counts | quality_counts(maps.mask, crossing, quality) | {"fitted": int(np.isfinite(width).sum())}
+    return replace(maps, crossing=crossing, sigma=sigma, quality=quality, counts=counts)
+
+
+def _lasting_bits(maps: Maps, sequence: Sequence) -> NDArray[np.uint16]:
+    """Bits that do not depend on the estimate, [h, w]."""
+    judged = np.uint16(Quality.PLATEAU_NOT_REACHED | Quality.SEVERAL | Quality.NO_DARK_LEVEL)
+    lasting: NDArray[np.uint16] = (maps.quality & ~judged).astype(np.uint16)
+    bright = np.asarray(maps.minimum > full_scale(sequence.bit_depth) // 2) & (maps.mask != 0)
+    lasting[bright] |= np.uint16(Quality.NO_DARK_LEVEL)
+    return lasting

@@ -1,0 +1,196 @@
+"""Owns what the estimates of a scan are weighed by: its noise, and how wide its sharp edges are.
+
+Promises to find both as soon as the sweep has shown enough of them, as a function of the frames until then alone:
+an estimate made while the sweep runs and one made from the whole file are weighed alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.crossings.maps import Edge, full_scale
+from process.edge_fit.noise_model import PAIRS, NoiseModel, guard_frames, model_from, noise_figures
+from process.edge_fit.pixel_columns import ReadColumns
+from process.edge_fit.pixel_kernels import FAR, count_sharp
+from process.numba_cache import kernel
+
+GRID_PIXELS = 16_000
+"""Pixels, spread over the image, that are watched until the noise is known."""
+STEP = 32
+"""Frames between two looks at them."""
+EARLIEST = 128
+"""Frames before the first measurement."""
+GUARD = 24
+"""Least frames about a crossing that are kept out of it."""
+ENOUGH = 150
+"""Watched pixels that have been bright for a while; fewer tell too little."""
+LEAST_COUNTS = 20
+"""Brightness range, in counts of 8 bit, of a pixel that the light has passed."""
+SHARP_PIXELS = 3000
+"""Pixels whose edges tell how wide the sharp ones are."""
+SAMPLES_PER_WIDTH = 2.5631
+"""Length of the interval from 10 to 90 % of an erf edge, in widths."""
+USUAL_SHARP_WIDTH = 0.5
+"""Frames; taken where a scan has too few sharp edges to tell."""
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A scan, or its first frames, as the estimates see it."""
+
+    columns: ReadColumns
+    present: NDArray[np.int64]
+    """Frame index of each folded frame, ascending."""
+    edge: Edge
+    bit_depth: int
+
+    @cached_property
+    def times(self) -> NDArray[np.float64]:
+        """``present`` as float64."""
+        return self.present.astype(np.float64)
+
+    @property
+    def full(self) -> int:
+        """Full scale where the complement is folded (falling edges), else 0."""
+        return full_scale(self.bit_depth) if self.edge == "falling" else 0
+
+
+class Weighing(NamedTuple):
+    """What a sweep says about all of its edges."""
+
+    noise: NoiseModel
+    """Of the folded signal, in levels of the stored depth."""
+    sharp_width: float
+    """Frames."""
+
+    def told(self, sequence: Sequence) -> NDArray[np.float64]:
+        """[4] for the kernels: floor and slope of the variance, levels of the folded signal at which it is clipped."""
+        lowest, highest = (0.0, np.inf) if sequence.full else (-np.inf, float(full_scale(sequence.bit_depth)))
+        return np.array([self.noise.floor, self.noise.slope, lowest, highest])
+
+
+@kernel
+def first_at_half(rows, full, least, start):
+    """start [pixels]: place of the first level at or above half of a pixel's range, rows [pixels, frames]; -1 where the
+    range is below `least` or the first level is above already. full: see Sequence.full."""
+    for i in range(rows.shape[0]):
+        low, high = np.int64(rows[i].min()), np.int64(rows[i].max())
+        start[i] = -1
+        if high - low < least or (2 * np.int64(rows[i, 0]) >= low + high) != (full > 0):
+            continue
+        for k in range(1, rows.shape[1]):
+            twice = 2 * np.int64(rows[i, k])
+            if (full > 0 and twice <= low + high) or (full == 0 and twice >= low + high):
+                start[i] = k
+                break
+
+
+def noise_of(
+    sequence: Sequence, pixels: NDArray[np.int64], start: NDArray[np.int64], fallback: NoiseModel, guard: int = 0
+) -> NoiseModel:
+    """Noise from the flat stretches to both sides of a first crossing; start [pixels]: its place, -1 for none.
+
+    guard: least number of frames about it that do not count.
+    """
+    frames = len(sequence.present)
+    guard = max(guard, guard_frames(frames))
+    dark_end = np.where(start >= 0, start - guard, frames // 2)
+    bright_begin = np.where(start >= 0, start + guard, frames // 2)
+    dark_pairs = np.clip(dark_end // 2, 0, PAIRS)
+    bright_pairs = np.clip((frames - bright_begin) // 2, 0, PAIRS)
+    bright_begin = np.minimum(bright_begin, frames)
+    return model_from(
+        np.concatenate(
+            [
+                _figures(sequence, pixels, dark_end - 2 * dark_pairs, dark_pairs),
+                _figures(sequence, pixels, bright_begin, bright_pairs),
+            ]
+        ),
+        full_scale(sequence.bit_depth),
+        fallback,
+    )
+
+
+def _figures(
+    sequence: Sequence, pixels: NDArray[np.int64], begin: NDArray[np.int64], pairs: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    some = np.flatnonzero(pairs > 0)
+    found = np.empty((len(some), 2))
+    if not len(some):
+        return found
+    rows = sequence.columns(pixels[some], begin[some], begin[some] + 2 * pairs[some])
+    top = full_scale(sequence.bit_depth)
+    return found[: noise_figures(rows, pairs[some], top, sequence.edge == "falling", found)]
+
+
+def sharp_width_of(sequence: Sequence, pixels: NDArray[np.int64], start: NDArray[np.int64], noise: NoiseModel) -> float:
+    """Width in frames of the sharp edges, from how many samples fall into them; the usual one where there are few."""
+    known = np.flatnonzero(start >= 0)
+    known = known[:: max(1, -(-len(known) // SHARP_PIXELS))]
+    if not len(known):
+        return USUAL_SHARP_WIDTH
+    first = np.maximum(start[known] - FAR, 0)
+    end = np.minimum(start[known] + FAR, len(sequence.present))
+    rows = sequence.columns(pixels[known], first, end)
+    within, edges = count_sharp(rows, sequence.full, first, end, start[known], noise.coefficients())
+    return float(np.clip(within / (SAMPLES_PER_WIDTH * edges), 0.2, 1.0)) if edges >= 50 else USUAL_SHARP_WIDTH
+
+
+class Watch:
+    """Looks at pixels spread over the image until the first frames of a sweep tell its noise."""
+
+    def __init__(self, shape: tuple[int, int], fallback: NoiseModel) -> None:
+        self._fallback = fallback
+        self._place = 0
+        self._measure_at = EARLIEST
+        self._pixels = grid(shape)
+        self._low: NDArray[np.int64] = np.full(len(self._pixels), 1 << 30)
+        self._high = -self._low
+        self._earlier = [self._high] * 3
+        self.weighing: Weighing | None = None
+        """None as long as it is not known."""
+
+    def look(self, sequence: Sequence, steps: int) -> bool:
+        """Take at most ``steps`` further looks at the frames of ``sequence``; True if there was one to take."""
+        for taken in range(steps):
+            if self.weighing is not None or self._place + STEP > len(sequence.present):
+                return taken > 0
+            self._take(sequence)
+        return True
+
+    def _take(self, sequence: Sequence) -> None:
+        first = np.full(len(self._pixels), self._place)
+        self._place += STEP
+        levels = sequence.columns(self._pixels, first, first + STEP).astype(np.int64)
+        if sequence.full:
+            levels = sequence.full - levels
+        self._low = np.minimum(self._low, levels.min(axis=1))
+        self._high = np.maximum(self._high, levels.max(axis=1))
+        long_bright = self._earlier.pop(0) - self._low >= 0.8 * (self._high - self._low)
+        self._earlier.append(self._high)
+        passed = self._high - self._low >= LEAST_COUNTS << (sequence.bit_depth - 8)
+        if self._place >= self._measure_at and np.count_nonzero(long_bright & passed) >= min(ENOUGH, len(passed) // 8):
+            self._measure(sequence)
+            self._measure_at = self._place * 3 // 2
+
+    def _measure(self, sequence: Sequence) -> None:
+        until = Sequence(sequence.columns, sequence.present[: self._place], sequence.edge, sequence.bit_depth)
+        zeros = np.zeros(len(self._pixels), np.int64)
+        rows = until.columns(self._pixels, zeros, zeros + self._place)
+        start = np.empty(len(rows), np.int64)
+        first_at_half(rows, until.full, LEAST_COUNTS << (until.bit_depth - 8), start)
+        noise = noise_of(until, self._pixels, start, self._fallback, GUARD)
+        if noise.measured:
+            self.weighing = Weighing(noise, sharp_width_of(until, self._pixels, start, noise))
+
+
+def grid(shape: tuple[int, int], pixels: int = GRID_PIXELS) -> NDArray[np.int64]:
+    """Flat indices of about so many pixels, evenly spread over the image [h, w]."""
+    step = max(1, int((shape[0] * shape[1] / pixels) ** 0.5))
+    rows, columns = np.arange(step // 2, shape[0], step), np.arange(step // 2, shape[1], step)
+    return np.asarray((rows[:, None] * shape[1] + columns).ravel(), np.int64)

@@ -1,0 +1,1 @@
+"""Algorithm 1: the one-pass fold."""

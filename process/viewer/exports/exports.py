@@ -1,0 +1,171 @@
+"""Own what can be taken away from the page: a cloud as PLY, and one HTML page that works offline.
+
+Both are made here, without a browser; what is shown decides the colours.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement
+from viser import _messages
+from viser.infra._async_message_buffer import AsyncMessageBuffer
+from viser.infra._infra import WebsockMessageHandler
+
+from process.viewer.markup import STYLE, legend_html
+from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, power_of_two
+from process.viewer.scene.camera_views import DEFAULT_BOUNDS, FOV_RAD, overview
+from process.viewer.stream.colouring import FittedPlane, Legend, Look, Range, colours_of
+from process.viewer.stream.point_nodes import POINT_FILL
+
+PAGE_POINTS = 500_000
+"""6 to 10 MB in one file."""
+VERTEX = np.dtype(
+    [
+        *((axis, "<f4") for axis in "xyz"),
+        *((channel, "u1") for channel in ("red", "green", "blue")),
+        ("sigma_um", "<f4"),
+        ("crossing", "<f4"),
+        ("quality", "<u2"),
+    ]
+)
+"""As in cloud.ply; while a scan is live its quality is not known, and 0."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What is shown: the points, how, and what is said about them."""
+
+    title: str
+    tiles: Mapping[int, Tile]
+    look: Look
+    within: Range | None
+    plane: FittedPlane | None
+    legend: Legend | None
+    facts: Sequence[tuple[str, str]] = ()
+    """Name and value: outcome, frames, settings, digest."""
+
+    def shown(self, most: int) -> Tile:
+        """At most about ``most`` of the points, as one tile."""
+        tiles = [tile for tile in self.tiles.values() if tile.count]
+        bounds = bounds_of(tiles) or DEFAULT_BOUNDS
+        centre = bounds.centre
+        if not tiles:
+            tiles = [_no_points()]
+        one = merged(tiles, (float(centre[0]), float(centre[1]), float(centre[2])))
+        one = one if self.look.box is None else one.inside(self.look.box)
+        return one.thinned(power_of_two(one.count, most))
+
+    def colours(self, tile: Tile) -> NDArray[np.uint8]:
+        """As on the page, shape [n, 3]."""
+        return colours_of(tile, self.look.mode, self.within, self.plane)
+
+
+def _no_points() -> Tile:
+    none = np.zeros(0, np.float32)
+    return Tile(
+        (0.0, 0.0, 0.0), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros(0, bool), none, none
+    )
+
+
+def ply_bytes(tiles: Mapping[int, Tile]) -> bytes:
+    """All points as binary little-endian PLY with the fields of cloud.ply."""
+    parts = []
+    for tile in tiles.values():
+        records = np.zeros(tile.count, VERTEX)
+        points = tile.points_mm()
+        for axis, name in enumerate("xyz"):
+            records[name] = points[:, axis]
+        for channel, name in enumerate(("red", "green", "blue")):
+            records[name] = tile.rgb[:, channel]
+        records["sigma_um"], records["crossing"] = tile.sigma_um, tile.crossing
+        records["quality"] = tile.quality if tile.quality is not None else 0
+        parts.append(records)
+    element = PlyElement.describe(np.concatenate(parts) if parts else np.zeros(0, VERTEX), "vertex")
+    target = io.BytesIO()
+    PlyData([element], byte_order="<").write(target)
+    return target.getvalue()
+
+
+# ---- one page ----
+
+
+class _Tape(WebsockMessageHandler):
+    """Records messages for a page; there is no server and no browser."""
+
+    def get_message_buffer(self) -> AsyncMessageBuffer:
+        raise AssertionError("a tape sends nothing")
+
+
+def page_html(view: View) -> str:
+    """The cloud in one HTML file, with legend and numbers beside it; opens without a network.
+
+    Source: viser's own offline client, fed from a recording that holds the points.
+    """
+    tape = _Tape()
+    record = tape.get_message_serializer(lambda _message: True)
+    tile = view.shown(PAGE_POINTS)
+    bounds = tile.bounds or DEFAULT_BOUNDS
+    for message in _camera_messages(bounds, tile.origin_mm):
+        record._insert_message(message)
+    if tile.count:
+        record._insert_message(_points_message(tile, view.colours(tile), view.look))
+    html = record.as_html(dark_mode=True)
+    box = f"{STYLE}{_PAGE_STYLE}<div class=card>{_card(view, tile.count)}</div>"
+    head, body, rest = html.partition("<body>")
+    return f"{head}{body}{box}{rest}" if body else f"{html}{box}"
+
+
+_PAGE_STYLE = (
+    "<style>.card{position:fixed;right:12px;top:12px;width:290px;max-height:94vh;overflow:auto;z-index:1000;"
+    "background:#1b1f27ee;border-radius:6px;padding:6px 0}</style>"
+)
+
+
+def _camera_messages(bounds: Bounds, origin_mm: tuple[float, float, float]) -> list[_messages.Message]:
+    """Where the page looks from; the points stand about zero there."""
+    shift = np.asarray(origin_mm)
+    pose = overview(bounds)
+    eye, target = pose.eye - shift, pose.target - shift
+
+    def triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
+        return (float(vector[0]), float(vector[1]), float(vector[2]))
+
+    return [
+        _messages.SetOrientationMessage("", (math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0)),  # z is up
+        _messages.SetCameraPositionMessage(triple(eye), initial=True),
+        _messages.SetCameraLookAtMessage(triple(target), initial=True),
+        _messages.SetCameraUpDirectionMessage((0.0, 0.0, 1.0), initial=True),
+        _messages.SetCameraFovMessage(FOV_RAD, initial=True),
+        _messages.SetCameraNearMessage(pose.distance_mm / 200, initial=True),
+        _messages.SetCameraFarMessage(pose.distance_mm * 50, initial=True),
+    ]
+
+
+def _points_message(tile: Tile, colours: NDArray[np.uint8], look: Look) -> _messages.Message:
+    spacing = tile.spacing_mm or 0.01
+    props = _messages.PointCloudProps(
+        points=tile.xyz,
+        colors=colours,
+        point_size=POINT_FILL * spacing * look.size_factor,
+        point_shape="circle",
+        precision="float32",
+        scale=1.0,
+        point_shading="flat",
+    )
+    return _messages.PointCloudMessage(name="/cloud", props=props)
+
+
+def _card(view: View, shown: int) -> str:
+    facts = [*view.facts, ("Points shown", f"{shown:,}")]
+    rows = "".join(f'<tr><td>{escape(name)}</td><td class="num">{escape(value)}</td></tr>' for name, value in facts)
+    return (
+        f'<div class="sw"><div class="sw-state">{escape(view.title)}</div><table>{rows}</table></div>'
+        f"{legend_html(view.legend)}"
+    )

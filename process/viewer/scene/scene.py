@@ -1,0 +1,250 @@
+"""Owns the picture: the cloud, the floor with its millimetres, the sheet of light, and where browsers look from."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from acquire.contract.calibration import Calibration, load_calibration, parse_calibration
+from acquire.contract.clocks import Clock
+from acquire.contract.errors import SweepscopeError
+from acquire.contract.messaging.messages import Status
+from acquire.contract.scan_data.file_layout import read_layout
+from acquire.contract.units import NS_PER_S
+from process.viewer.markup import Picture
+from process.viewer.rig_client.feed import Snapshot, TileNews
+from process.viewer.rig_client.tile import Bounds
+from process.viewer.server.guarded_server import Page
+from process.viewer.status_text import RUNNING
+from process.viewer.stream.colouring import Look
+from process.viewer.stream.point_nodes import Cloud
+from process.viewer.stream.streams import Delivery
+
+from .camera_views import DEFAULT_BOUNDS, Framing
+from .polylines import box_edges, camera_eye, field_of_view, light_at, sheet
+from .rig_marks import RigMarks, travel_of
+
+LIGHT_RGB = (255, 205, 80)
+LIGHT_OPACITY = 0.15
+CLIP_RGB = (120, 200, 255)
+LOOK_AGAIN_NS = 2 * NS_PER_S
+"""A scan file may not be there yet when its path is announced."""
+LOOKS = 5
+
+
+@dataclass(frozen=True)
+class RigShown:
+    """Which parts of the rig people want to see."""
+
+    light: bool = True
+    camera: bool = True
+    stage: bool = True
+
+
+class Scene:
+    """Brings news into the picture, in turns that a browser can digest."""
+
+    def __init__(self, server: Page, look: Look, clock: Clock, calibration: str = "") -> None:
+        """``calibration``: path of the rig's own, drawn before the first scan; may be empty."""
+        self._server = server
+        self._clock = clock
+        self.cloud = Cloud(look)
+        self.delivery = Delivery(server, self.cloud)
+        self.framing = Framing(server, clock)
+        self._marks = RigMarks(server)
+        self._book = CalibrationBook(clock, calibration)
+        self._field: Bounds | None = None
+        self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
+        self._light_at: tuple[object, ...] = ()
+        self._floor_of: tuple[float, float, float, float] | None = None
+        self.eye_mm: NDArray[np.float64] | None = None
+        """Where the rig's camera is, shape [3] in mm; None without a calibration."""
+        self._box: Bounds | None = None
+        self._frame: viser.LineSegmentsHandle | None = None
+
+    def show(
+        self,
+        snapshot: Snapshot,
+        news: TileNews,
+        image: NDArray[np.uint8] | None,
+        shown: RigShown,
+        opened: Path | None = None,
+    ) -> None:
+        """Take what changed, and move light, floor, camera and stage along; the couriers carry the points.
+
+        Args:
+            snapshot: the state of the rig.
+            news: tiles that changed.
+            image: the camera's newest picture; None if there is no new one.
+            shown: which parts of the rig are drawn.
+            opened: folder of an older scan that is shown instead of the rig's.
+        """
+        self.cloud.take(news)
+        calibration = self._book.of(str(opened) if opened is not None else _path(snapshot))
+        if opened is not None:
+            snapshot = replace(snapshot, status=None)  # the rig is not where it was for that scan
+        self.eye_mm = camera_eye(calibration.camera) if calibration is not None else None
+        self._field = field_of_view(calibration.camera) if calibration is not None else None
+        bounds = self._stage_set(snapshot.status)
+        self.framing.follow(bounds)
+        self._show_floor(bounds or DEFAULT_BOUNDS)
+        self._show_light(snapshot, calibration if shown.light else None, bounds or DEFAULT_BOUNDS)
+        self._show_rig(snapshot, calibration, image, shown)
+
+    def _show_rig(
+        self, snapshot: Snapshot, calibration: Calibration | None, image: NDArray[np.uint8] | None, shown: RigShown
+    ) -> None:
+        """The rig stands about the camera's field, which does not change while the cloud grows."""
+        around, status = self._field or DEFAULT_BOUNDS, snapshot.status
+        camera = calibration.camera if calibration is not None and shown.camera else None
+        self._marks.show_camera(camera, around, image)
+        travel = None
+        if calibration is not None and status is not None and shown.stage:
+            travel = travel_of(calibration, status, around)
+        old = "" if snapshot.daemon.connected else " (old)"
+        label = f"stage {status.position_um:,.1f} µm{old}" if status is not None else ""
+        self._marks.show_travel(travel, around, label)
+
+    def _stage_set(self, status: Status | None) -> Bounds | None:
+        """What to look at: the camera's whole field while the cloud grows in it, afterwards the cloud."""
+        cloud = self.cloud.bounds()
+        if cloud is None or self._field is None or status is None or status.state not in RUNNING:
+            return cloud or self._field
+        return cloud.joined(self._field)
+
+    def _show_floor(self, bounds: Bounds) -> None:
+        cell_mm = nice_length_mm(bounds.radius_mm / 8)
+        section_mm = cell_mm * 5
+        span_mm = section_mm * 2 * math.ceil(1.4 * bounds.radius_mm / section_mm)
+        centre = np.round(bounds.centre / section_mm) * section_mm
+        wanted = (cell_mm, span_mm, float(centre[0]), float(centre[1]))
+        if wanted == self._floor_of:
+            return
+        self._floor_of = wanted
+        self._server.scene.add_grid(
+            "/floor",
+            width=span_mm,
+            height=span_mm,
+            cell_size=cell_mm,
+            section_size=section_mm,
+            cell_color=(38, 45, 56),
+            section_color=(62, 74, 92),
+            position=(wanted[2], wanted[3], 0.0),
+            fade_distance=span_mm * 4,
+        )
+
+    def look(self, look: Look, now_ns: int) -> None:
+        """Colours, range, clipping as people want them now."""
+        self.cloud.show(look)
+        self.cloud.settle(now_ns)
+        if look.box == self._box:
+            return
+        self._box = look.box
+        if self._frame is not None:
+            self._frame.remove()
+            self._frame = None
+        if look.box is not None:
+            self._frame = self._server.scene.add_line_segments(
+                "/clip", box_edges(look.box), CLIP_RGB, thickness=1.2, thickness_units="screen"
+            )
+
+    @property
+    def picture(self) -> Picture:
+        """What the legend has to say."""
+        return Picture(
+            keep_one_of=self.cloud.fine,
+            floor_cell_mm=self._floor_of[0] if self._floor_of is not None else 0.0,
+            points=self.cloud.points,
+            legend=self.cloud.legend(),
+            links=tuple(self.delivery.news()),
+        )
+
+    def _show_light(self, snapshot: Snapshot, calibration: Calibration | None, bounds: Bounds) -> None:
+        status = snapshot.status
+        at = (status.position_um, id(calibration), bounds, snapshot.daemon.connected) if status is not None else ()
+        if at == self._light_at:
+            return
+        self._light_at = at
+        plane = None
+        if status is not None and calibration is not None and snapshot.daemon.connected:
+            plane = light_at(calibration, status.plan, status.position_steps, status.position_um)
+        corners = sheet(*plane, bounds) if plane is not None else None
+        if corners is None:
+            for node in self._light or ():
+                node.remove()
+            self._light = None
+            return
+        vertices = corners.astype(np.float32)
+        rim = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+        if self._light is None:
+            self._light = self._make_light(vertices, rim)
+        self._light[0].vertices, self._light[1].points = vertices, rim
+
+    def _make_light(
+        self, vertices: NDArray[np.float32], rim: NDArray[np.float32]
+    ) -> tuple[viser.MeshHandle, viser.LineSegmentsHandle]:
+        pane = self._server.scene.add_mesh_simple(
+            "/light/pane",
+            vertices=vertices,
+            faces=np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+            color=LIGHT_RGB,
+            opacity=LIGHT_OPACITY,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        return pane, self._server.scene.add_line_segments(
+            "/light/rim", rim, LIGHT_RGB, thickness=1.5, thickness_units="screen"
+        )
+
+
+class CalibrationBook:
+    """The calibration that the shown scan keeps in its file; looked up once per scan, a few times if not yet there."""
+
+    def __init__(self, clock: Clock, before: str = "") -> None:
+        """``before``: path of the calibration that holds before any scan; may be empty."""
+        self._clock = clock
+        self._path = ""
+        self._found: Calibration | None = None
+        if before:
+            with contextlib.suppress(SweepscopeError):  # the services that need it say what is wrong with it
+                self._found, _ = load_calibration(Path(before).expanduser())
+        self._looks_left = 0
+        self._next_ns = 0
+
+    def of(self, scan_path: str) -> Calibration | None:
+        """The calibration of a scan; None where there is none or it cannot be read. An empty path: the last one."""
+        if not scan_path:
+            return self._found
+        now_ns = self._clock.now_ns()
+        if scan_path != self._path:
+            self._path, self._found, self._looks_left, self._next_ns = scan_path, None, LOOKS, now_ns
+        if self._found is None and self._looks_left and now_ns >= self._next_ns:
+            self._looks_left -= 1
+            self._next_ns = now_ns + LOOK_AGAIN_NS
+            self._found = _read_calibration(Path(self._path))
+        return self._found
+
+
+def _path(snapshot: Snapshot) -> str:
+    return snapshot.status.scan_path if snapshot.status is not None else ""
+
+
+def _read_calibration(scan: Path) -> Calibration | None:
+    try:
+        text = read_layout(scan).verbatim["calibration"]
+        return parse_calibration(text.decode()) if text.strip() else None
+    except (SweepscopeError, OSError, UnicodeDecodeError):
+        return None  # only the drawing of the light needs it; the worker is the one who refuses
+
+
+def nice_length_mm(length_mm: float) -> float:
+    """1, 2 or 5 times a power of ten, not below ``length_mm``."""
+    power = 10.0 ** math.floor(math.log10(max(length_mm, 1e-6)))
+    return next(float(step * power) for step in (1, 2, 5, 10) if step * power >= length_mm * 0.999)

@@ -1,0 +1,62 @@
+"""Owns the look at a fold in mid-sweep: the points so far, and which of them may still move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from process.cloud.cloud import Cloud
+from process.crossings.maps import Maps
+from process.results.fold_cursor import FoldCursor
+from process.results.settings import Settings
+from process.results.write import cloud_of
+
+SETTLED_AFTER_FRAMES = 20
+"""A point counts as settled when its pixel has not got brighter for so many frames."""
+
+
+@dataclass(frozen=True)
+class ShownCounts:
+    """The numbers beside the picture."""
+
+    over_contrast: int = 0
+    settled: int = 0
+    provisional: int = 0
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Points as they are in mid-sweep."""
+
+    cloud: Cloud | None
+    """None without a light plane."""
+    provisional: NDArray[np.bool_]
+    """[n], True while the point's pixel may still get brighter."""
+    counts: ShownCounts
+    maps: Maps | None = None
+    """What the points were made of; None once that is on disk."""
+
+
+def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np.float64]) -> Preview:
+    """The points of the frames folded so far (at least one); the fold can go on afterwards.
+
+    Pixels that need the scan file are left to the end.
+    """
+    maps = cursor.fold.result(
+        contrast=settings.contrast,
+        median=settings.median,
+        method=settings.live_method,
+        noise_counts=settings.noise_counts,
+        read_columns=None,
+    )
+    cloud = cloud_of(maps, settings, cursor.folded, position_um)
+    provisional = np.zeros(0, np.bool_)
+    if cloud is not None:
+        age = cursor.fold.folded_through - maps.last_record.ravel()[cloud.pixels]
+        provisional = (age < SETTLED_AFTER_FRAMES) & (not cursor.done)
+    moving = int(provisional.sum())
+    return Preview(
+        cloud, provisional, ShownCounts(maps.counts["over_contrast"], len(provisional) - moving, moving), maps
+    )

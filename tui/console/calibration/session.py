@@ -1,0 +1,163 @@
+"""One calibration as files: a folder with its board, its views and what came of them; it can be left and resumed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from acquire.contract.errors import CalibrationError
+from tui.scans.json_file import read_object
+
+FOLDER_NAME = "calibration"
+BOARD_NAME = "board.json"
+RESULT_NAME = "calibration.json"
+
+
+class BoardWords(msgspec.Struct, frozen=True):
+    """The pattern as people describe it."""
+
+    columns: Annotated[int, Meta(ge=3, le=200)] = 16
+    """Squares, or dots, along the longer side."""
+    rows: Annotated[int, Meta(ge=3, le=200)] = 13
+    square_mm: Annotated[float, Meta(gt=0, le=100)] = 0.3
+    """Side of a square, or distance of two dots, in mm."""
+    kind: Literal["chessboard", "charuco", "dots"] = "chessboard"
+
+    @property
+    def arguments(self) -> list[str]:
+        """For the calibration commands."""
+        return ["--squares", f"{self.columns}x{self.rows}", "--square-mm", f"{self.square_mm:g}"]
+
+    def words(self) -> str:
+        """``chessboard 16 x 13, 0.3 mm``."""
+        return f"{self.kind} {self.columns} x {self.rows}, {self.square_mm:g} mm"
+
+
+def parse_board(texts: dict[str, str]) -> BoardWords:
+    """A board from the fields ``squares`` (CxR), ``square_mm``, ``kind``.
+
+    Raises:
+        ValueError: in words.
+    """
+    columns, _, rows = texts["squares"].lower().partition("x")
+    try:
+        fields = {
+            "columns": max(int(columns), int(rows)),
+            "rows": min(int(columns), int(rows)),
+            "square_mm": float(texts["square_mm"].replace(",", ".")),
+            "kind": texts["kind"],
+        }
+        return msgspec.convert(fields, BoardWords)
+    except (ValueError, msgspec.ValidationError):
+        raise ValueError(
+            "give squares as 16x13 (3 to 200 each), a size in mm, and chessboard, charuco or dots"
+        ) from None
+
+
+class CalibrationSession:
+    """The newest folder of ``<data_dir>/calibration``, or a new one as soon as something is kept."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self._root = data_dir / FOLDER_NAME
+        self.folder = self._newest() or self._fresh()
+        self.board = self._read_board()
+
+    def _newest(self) -> Path | None:
+        try:
+            folders = sorted(path for path in self._root.iterdir() if path.is_dir())
+        except OSError:
+            return None
+        return folders[-1] if folders else None
+
+    def _fresh(self) -> Path:
+        return self._root / datetime.now(UTC).strftime("%Y%m%dT%H%M%S.%fZ")
+
+    def begin_anew(self) -> None:
+        """An empty folder with the same board; the one before stays."""
+        self.folder = self._fresh()
+
+    def _read_board(self) -> BoardWords:
+        try:
+            return msgspec.json.decode((self.folder / BOARD_NAME).read_bytes(), type=BoardWords)
+        except (OSError, msgspec.MsgspecError):
+            return BoardWords()
+
+    def keep_board(self, board: BoardWords) -> None:
+        """Write the board down.
+
+        Raises:
+            CalibrationError: the folder cannot be written to.
+        """
+        temporary = self.folder / f".{BOARD_NAME}.{os.getpid()}.tmp"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            temporary.write_bytes(msgspec.json.encode(board) + b"\n")
+            temporary.replace(self.folder / BOARD_NAME)
+        except OSError as error:
+            raise CalibrationError(f"cannot write {self.folder}: {error.strerror}; the board is not kept") from None
+        self.board = board
+
+    @property
+    def views(self) -> list[Path]:
+        """The views captured so far, in order."""
+        return sorted(path for path in self.folder.glob("view-*.png") if path.is_file())
+
+    def next_view(self) -> Path:
+        """Where the next view goes."""
+        numbers = [int(path.stem[5:]) for path in self.views if path.stem[5:].isdigit()]
+        return self.folder / f"view-{max(numbers, default=0) + 1:02d}.png"
+
+    def drop_last_view(self) -> str:
+        """Put the last view aside; returns its name, empty where there is none.
+
+        Raises:
+            CalibrationError: it cannot be moved.
+        """
+        views = self.views
+        if not views:
+            return ""
+        try:
+            views[-1].replace(views[-1].with_name(f".dropped-{views[-1].name}"))
+        except OSError as error:
+            raise CalibrationError(f"{views[-1].name} stays: {error.strerror}") from None
+        return views[-1].name
+
+    @property
+    def result(self) -> Path:
+        """Where calibration.json of this session goes."""
+        return self.folder / RESULT_NAME
+
+    def watch_command(self) -> list[str]:
+        """Arguments that look for the board in the preview, and judge the views."""
+        options = ["--kind", self.board.kind, "--views", str(self.folder), "--json"]
+        return ["calibrate", "watch", *self.board.arguments, *options]
+
+    def camera_command(self, stage_view: str) -> list[str]:
+        """Arguments that calibrate the camera with all views; ``stage_view`` (or empty) makes z = 0."""
+        stage = ["--stage", stage_view] if stage_view else []
+        options = ["--kind", self.board.kind, "--out", str(self.result), "--force", "--json"]
+        return ["calibrate", "camera", *map(str, self.views), *self.board.arguments, *stage, *options]
+
+    def plane_command(self, scans: Sequence[Path]) -> list[str]:
+        """Arguments that calibrate the light plane with these sweeps."""
+        options = ["--camera", str(self.result), "--out", str(self.result), "--json"]
+        return ["calibrate", "plane", *map(str, scans), *self.board.arguments, *options]
+
+    def document(self) -> dict[str, Any]:
+        """The calibration of this session; empty while there is none."""
+        return read_object(self.result)
+
+    def document_before(self) -> dict[str, Any]:
+        """That of the newest other session that has one, to compare with; empty where there is none."""
+        try:
+            folders = sorted(self._root.iterdir(), reverse=True)
+        except OSError:
+            return {}
+        others = (read_object(folder / RESULT_NAME) for folder in folders if folder != self.folder)
+        return next((found for found in others if found), {})

@@ -1,0 +1,97 @@
+"""Changes one setting of the camera while its effect is in view: arrows step it at once, a number sets it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.widgets import Input, Static
+
+from tui.console.link.messages import CommandAnswered
+from tui.console.screens.base import RigScreenBase
+from tui.console.screens.dialogs import Dialog, PlainInput
+from tui.console.state.scan_forms import parse_number
+
+
+class Adjust(Dialog[None]):
+    """One number with its limits at the bottom of the screen; the picture above goes on."""
+
+    BINDINGS = [
+        Binding("escape", "leave", "leave"),
+        Binding("up", "step(1)", "more", show=False),
+        Binding("down", "step(-1)", "less", show=False),
+        Binding("pageup", "step(5)", "much more", show=False),
+        Binding("pagedown", "step(-5)", "much less", show=False),
+    ]
+    DEFAULT_CSS = """
+    Adjust { align: right bottom; background: $background 0%; }
+    Adjust > Vertical { width: 44; margin: 0 0 2 0; }
+    """
+
+    def __init__(
+        self, title: str, unit: str, value: float, limits: tuple[float, float], apply: Callable[[float], None]
+    ) -> None:
+        """``apply`` is called with each new value, in the order in which they were set."""
+        super().__init__()
+        self._title_words, self._unit, self._limits, self._apply = title, unit, limits, apply
+        self.value = value
+
+    def compose(self) -> ComposeResult:
+        """The number, its limits, what the keys do."""
+        with Vertical() as box:
+            box.border_title = f"{self._title_words} ({self._unit})"
+            yield PlainInput(f"{self.value:g}", id="value", select_on_focus=True)
+            limits = f"{self._limits[0]:g} to {self._limits[1]:g} {self._unit}"
+            yield Static(f"{limits}; Up and Down change it at once", classes="hint", markup=False)
+            yield Static("Enter sets it, Escape leaves; SPACE is STOP", classes="hint", id="wrong", markup=False)
+
+    def action_step(self, count: int) -> None:
+        """Change the value by a few percent and apply it."""
+        low, high = self._limits
+        step = max(0.02 * abs(self.value), (high - low) / 1000.0, 0.01)
+        self._set(round(min(high, max(low, self.value + count * step)), 3))
+
+    def _set(self, value: float) -> None:
+        if value != self.value:
+            self.value = value
+            self._apply(value)
+        field = self.query_one(PlainInput)
+        field.value = f"{value:g}"
+        field.action_select_all()
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Set what was typed and leave, or say what is wrong."""
+        try:
+            self._set(parse_number(event.value, self._title_words, *self._limits))
+        except ValueError as error:
+            self.query_one("#wrong", Static).update(str(error))
+            return
+        self.dismiss(None)
+
+
+class LatestValue:
+    """Sends a setting that changes quickly: one command under way, then the newest value."""
+
+    def __init__(self, screen: RigScreenBase, setting: str) -> None:
+        self._screen, self._setting = screen, setting
+        self._busy = False
+        self._next: float | None = None
+
+    def set(self, value: float) -> None:
+        """Send the value, or keep it until the last one was answered."""
+        if self._busy:
+            self._next = value
+            return
+        self._busy = True
+        self._screen.send("camera", self._answered, **{self._setting: value})
+
+    def _answered(self, answer: CommandAnswered) -> None:
+        self._busy = False
+        if not answer.ok:
+            self._next = None
+            self._screen.say(f"camera: {answer.detail}", "error")
+        elif self._next is not None:
+            value, self._next = self._next, None
+            self.set(value)

@@ -1,0 +1,93 @@
+"""What people type on the scan screen, read and checked: positions, the plan, a name; ValueErrors are words; pure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from tui.console.state.scan_draft import Draft
+
+NAME_WORDS = "that is no name: use 1 to 64 letters, digits, - _ . without spaces"
+
+
+def parse_position(text: str, um_per_microstep: float) -> int:
+    """Microsteps of ``1578``, ``1578 steps``, ``5010um`` or ``5.01mm`` (um and mm to the nearest microstep).
+
+    Raises:
+        ValueError: it is no position.
+    """
+    found = re.fullmatch(r"\s*([+-]?\d+(?:\.\d+)?)\s*(steps|um|mm)?\s*", text)
+    if found is None:
+        raise ValueError(f"{text!r} is no position: type microsteps (1578), or um (5010um)")
+    value, unit = float(found[1]), found[2] or "steps"
+    if unit == "steps":
+        if not value.is_integer():
+            raise ValueError(f"{text!r}: microsteps are whole numbers; write {found[1]}um for um")
+        return int(value)
+    return round(value * (1000.0 if unit == "mm" else 1.0) / um_per_microstep)
+
+
+def parse_number(text: str, label: str, low: float, high: float) -> float:
+    """A number within limits.
+
+    Raises:
+        ValueError: no number, or outside.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{label}: {text!r} is no number") from None
+    if not low <= value <= high:
+        raise ValueError(f"{label}: {text} is outside of {low:g} to {high:g}")
+    return value
+
+
+def parse_plan(texts: dict[str, str], draft: Draft, travel_steps: tuple[int, int]) -> Draft:
+    """The draft with the plan that was typed.
+
+    Raises:
+        ValueError: something does not fit.
+    """
+    first = parse_position(texts["first"], draft.um_per_microstep)
+    last = parse_position(texts["last"], draft.um_per_microstep)
+    for label, position in (("first", first), ("last", last)):
+        if travel_steps[0] < travel_steps[1] and not travel_steps[0] <= position <= travel_steps[1]:
+            raise ValueError(f"{label}: {position} is outside of the travel, {travel_steps[0]} to {travel_steps[1]}")
+    steps = parse_number(texts["steps"], "steps per frame", 1, 100_000)
+    if not steps.is_integer():
+        raise ValueError("steps per frame: whole microsteps")
+    mode = texts["mode"].lower()
+    if mode not in ("step", "fly"):
+        raise ValueError(f"mode: {texts['mode']!r} is neither step nor fly")
+    settle_ms = parse_number(texts["settle"], "settle time", 0, 60_000)
+    return replace(
+        draft, first_steps=first, last_steps=last, steps_per_frame=int(steps), mode=mode, settle_ms=settle_ms
+    )
+
+
+def parse_words(texts: dict[str, str], draft: Draft) -> Draft:
+    """The draft with name, specimen, operator, notes, tags.
+
+    Raises:
+        ValueError: the name cannot be part of a folder's name.
+    """
+    tags = tuple(tag for tag in re.split(r"[,\s]+", texts["tags"]) if tag)
+    return replace(
+        draft,
+        name=parse_name(texts["name"]),
+        specimen=texts["specimen"],
+        operator=texts["operator"],
+        notes=texts["notes"],
+        tags=tags,
+    )
+
+
+def parse_name(text: str) -> str:
+    """The name of a scan.
+
+    Raises:
+        ValueError: it cannot be part of a folder's name.
+    """
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", text) is None:
+        raise ValueError(NAME_WORDS)
+    return text

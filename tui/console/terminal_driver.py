@@ -1,0 +1,161 @@
+"""The terminal's driver: STOP leaves from the thread that reads the keys, and all output is measured.
+
+Textual paints through a bounded queue that blocks its loop while the terminal takes nothing; keys are read by a
+thread of their own. So STOP is sent from there, before anything is painted, and painting pauses while it would queue.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import IO, TYPE_CHECKING, Any
+
+from textual import events
+from textual.drivers.linux_driver import LinuxDriver
+from textual.message import Message
+
+from tui.console.pictures.picture_rate import Governor
+
+if TYPE_CHECKING:
+    from textual.app import App
+
+ASK = "\x1b[6n"
+"""Where is the cursor? Its answer says that everything before it was taken."""
+LAST_ANSWER_S = 0.5
+"""At the end an answer that is still under way is awaited so long, so that the shell does not get it as typing."""
+
+
+class Meter:
+    """Bytes on their way to the terminal, and the governor that they feed; safe from any thread."""
+
+    def __init__(self, governor: Governor | None = None) -> None:
+        self.governor = governor or Governor()
+        self.handed_bytes = 0
+        self.written_bytes = 0
+        self.gone = False
+        """True once the terminal is gone: what is written is dropped."""
+        self._lock = threading.Lock()
+        self._blocked_since_s: float | None = None
+        self._asked_at_bytes = 0
+        self.answered_event = threading.Event()
+
+    def handed(self, nbytes: int) -> None:
+        """The painter handed over ``nbytes``."""
+        with self._lock:
+            self.handed_bytes += nbytes
+
+    def begin_write(self) -> None:
+        """The writing thread is about to write."""
+        self._blocked_since_s = time.monotonic()
+
+    def end_write(self, nbytes: int) -> None:
+        """It has written."""
+        self._blocked_since_s = None
+        with self._lock:
+            self.written_bytes += nbytes
+
+    @property
+    def backlog_bytes(self) -> int:
+        """Handed over and not written yet."""
+        return self.handed_bytes - self.written_bytes
+
+    def stalled(self) -> bool:
+        """True while the terminal takes nothing."""
+        since_s = self._blocked_since_s
+        now_s = time.monotonic()
+        with self._lock:
+            return self.governor.stalled(now_s, now_s - since_s if since_s is not None else 0.0)
+
+    def may_send_picture(self) -> bool:
+        """True if a picture may be painted now."""
+        with self._lock:
+            return self.governor.may_send(time.monotonic(), self.backlog_bytes)
+
+    def wants_bare(self) -> bool:
+        """True if the terminal should be asked now, with no picture before the question."""
+        with self._lock:
+            return not self.backlog_bytes and self.governor.wants_bare(time.monotonic())
+
+    def asked(self, *, picture: bool) -> None:
+        """A question was handed over, behind a picture or by itself."""
+        with self._lock:
+            self.answered_event.clear()
+            nbytes = self.handed_bytes - self._asked_at_bytes if picture else 0
+            self.governor.asked(time.monotonic(), nbytes, picture=picture)
+            self._asked_at_bytes = self.handed_bytes
+
+    def answered(self) -> None:
+        """The terminal answered."""
+        with self._lock:
+            self.governor.answered(time.monotonic())
+        self.answered_event.set()
+
+    def words(self) -> str:
+        """``link 180 kB/s, picture 3 Hz``."""
+        with self._lock:
+            return self.governor.words(time.monotonic())
+
+
+class _MeasuredFile:
+    """The terminal as a file that says when a write is through, and that outlives the terminal."""
+
+    def __init__(self, file: IO[str], meter: Meter) -> None:
+        self._file, self._meter = file, meter
+
+    def write(self, text: str) -> int:
+        self._do(self._file.write, text, nbytes=len(text.encode()))
+        return len(text)
+
+    def flush(self) -> None:
+        self._do(self._file.flush)
+
+    def _do(self, work: Any, *args: Any, nbytes: int = 0) -> None:
+        self._meter.begin_write()
+        try:
+            if not self._meter.gone:
+                work(*args)
+        except OSError:
+            self._meter.gone = True  # a hung-up terminal: the loop must come to its end, not wait for it
+        finally:
+            self._meter.end_write(nbytes)
+
+    def fileno(self) -> int:
+        return self._file.fileno()
+
+    def isatty(self) -> bool:
+        return self._file.isatty()
+
+
+class ConsoleDriver(LinuxDriver):
+    """Textual's driver with STOP ahead of everything and a meter on the output."""
+
+    def __init__(self, app: App[Any], **options: Any) -> None:
+        super().__init__(app, **options)
+        self._meter: Meter = app.meter  # type: ignore[attr-defined]
+        self._file: Any = _MeasuredFile(self._file, self._meter)
+
+    def write(self, data: str) -> None:
+        """Hand output to the writing thread."""
+        self._meter.handed(len(data.encode()))
+        super().write(data)
+
+    def ask(self, *, picture: bool) -> None:
+        """Ask the terminal to answer once it has taken everything so far."""
+        self._meter.asked(picture=picture)
+        if not self._meter.governor.deaf:
+            self.write(ASK)
+
+    def process_message(self, message: Message) -> None:
+        """Runs in the thread that reads the keys."""
+        if isinstance(message, events.Key) and message.key == "space":
+            self._app.stop_early()  # type: ignore[attr-defined]
+        elif isinstance(message, events.CursorPosition):
+            self._meter.answered()
+            return
+        super().process_message(message)
+
+    def stop_application_mode(self) -> None:
+        """Restore the terminal, once its last answer is in."""
+        if self._meter.governor.asking and not self._meter.gone:
+            self._meter.answered_event.wait(LAST_ANSWER_S)
+        super().stop_application_mode()

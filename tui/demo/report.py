@@ -1,0 +1,126 @@
+"""Judges a scan of the simulated rig against the truth and says what came out; only reads report.json."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
+from acquire.contract.messaging.messages import Status
+from acquire.contract.scan_data.dataset_names import CLOUD_NAME, MAPS_NAME, REPORT_NAME, SEALED_NAME, TRUTH_NAME
+from acquire.contract.states import Outcome
+from tui.text.status_text import outcome_line
+
+LEAST_SHARE = 0.9
+"""Share of the visible pixels over the contrast that must have a point."""
+MOST_MEDIAN_UM = 3.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A scan of the demonstration with what was found in it."""
+
+    status: Status
+    """The daemon's last word on the scan."""
+    report: dict[str, Any]
+    """report.json."""
+    results_s: float | None = None
+    """From the last frame to maps and cloud on disk; None where the worker was not heard."""
+
+    @property
+    def folder(self) -> Path:
+        """The scan's folder."""
+        return Path(self.status.scan_path)
+
+    @property
+    def failures(self) -> list[str]:
+        """Why the demonstration did not succeed; empty when it did."""
+        truth = self.report.get("truth") or {}
+        share, median_um = truth.get("share"), truth.get("median_um")
+        found = []
+        if not outcome_line(self.status).startswith("SAVED"):
+            found.append(f"the scan is not complete ({outcome_line(self.status)})")
+        if share is None or median_um is None:
+            found.append("the report holds no comparison with the truth")
+            return found
+        if share < LEAST_SHARE:
+            found.append(
+                f"only {100 * share:.1f} % of the visible pixels have a point, {100 * LEAST_SHARE:.0f} % are due"
+            )
+        if median_um >= MOST_MEDIAN_UM:
+            found.append(f"the median error of {median_um:.2f} um is not below {MOST_MEDIAN_UM:g} um")
+        return found
+
+    @property
+    def exit_status(self) -> int:
+        """0 only if nothing failed; 4 if frames are missing."""
+        if self.status.outcome != Outcome.COMPLETE:
+            return EXIT_INCOMPLETE
+        return EXIT_FAILED if self.failures else 0
+
+    def findings(self) -> list[str]:
+        """What came out, in a few lines."""
+        points = self.report.get("counts", {}).get("points", 0)
+        lines = [
+            f"outcome  {outcome_line(self.status)}",
+            f"points   {points}{self._share()}",
+            f"error    {self._error()}",
+        ]
+        return lines + [f"FAILED   {failure}" for failure in self.failures]
+
+    def lines(self, url: str) -> list[str]:
+        """The whole summary for a person."""
+        counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
+        stages = "".join(f", {name.replace('_', ' ')} {seconds:.2f} s" for name, seconds in timings.items())
+        on_disk = (
+            "" if self.results_s is None else f", maps and cloud on disk {self.results_s:.2f} s after the last frame"
+        )
+        names = (SEALED_NAME, MAPS_NAME, CLOUD_NAME, REPORT_NAME, TRUTH_NAME)
+        return [
+            *self.findings(),
+            f"frames   {self.status.triggered} triggered, {self.status.retaken} retaken, "
+            f"{counts.get('from_live', 0)} folded live, {counts.get('from_file', 0)} from the file",
+            f"timings  sweep {self.status.elapsed_s:.1f} s{on_disk}{stages}",
+            *(f"file     {self.folder / name}" for name in names if (self.folder / name).is_file()),
+            *([f"page     {url}"] if url else []),
+        ]
+
+    def _share(self) -> str:
+        truth = self.report.get("truth") or {}
+        if truth.get("share") is None:
+            return ""
+        return f" ({100 * truth['share']:.1f} % of {truth['visible_over_contrast']} visible pixels over the contrast)"
+
+    def _error(self) -> str:
+        truth = self.report.get("truth") or {}
+        if truth.get("median_um") is None:
+            return "unknown: no truth beside the scan"
+        return (
+            f"median {truth['median_um']:.2f} um, RMS {truth['rms_um']:.2f} um, "
+            f"95 % below {truth['p95_um']:.2f} um (against the simulated truth)"
+        )
+
+
+def read_report(folder: Path) -> dict[str, Any] | None:
+    """report.json of a scan's folder; None while there is none.
+
+    Raises:
+        ScanFileError: it is there and cannot be read.
+    """
+    path = folder / REPORT_NAME
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise ScanFileError(f"{path} cannot be read: {error}") from None
+    if not isinstance(found, dict):
+        raise ScanFileError(f"{path} is no report: look at it, or run 'sweepscope reconstruct {folder}'")
+    return found
+
+
+def is_final(report: dict[str, Any] | None, outcome: str) -> bool:
+    """True once the report knows how the scan ended and was compared with the truth."""
+    return report is not None and report.get("outcome") == outcome and report.get("truth") is not None

@@ -1,0 +1,171 @@
+"""Copies a scan elsewhere and proves it: each file is hashed as it is read, and again as it lies on the other disk."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from acquire.contract.errors import ScanFileError
+from acquire.contract.scan_data.dataset_names import CHECKSUMS_NAME, COPIES_NAME, OWNER_LOCK_NAME
+from acquire.contract.units import format_bytes
+
+CHUNK_BYTES = 4 * 1024 * 1024
+MAX_FILE_BYTES = 1024 * 1024
+Progress = Callable[[int, int], None]
+"""Called with bytes done and bytes in all; copying and checking count alike."""
+
+
+class Copied(msgspec.Struct, frozen=True):
+    """A copy that was verified."""
+
+    to: str
+    """Absolute path of the copy's folder."""
+    at_utc: str
+    nbytes: int
+    files: int
+
+    def words(self) -> str:
+        """One line."""
+        return f"copied to {self.to} on {self.at_utc[:10]}, {self.files} files verified by checksum"
+
+
+def copies_of(folder: Path) -> tuple[Copied, ...]:
+    """The verified copies that were made of the scan in ``folder``.
+
+    Raises:
+        ScanFileError: copies.json is there and cannot be read.
+    """
+    path = folder / COPIES_NAME
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no list of ours")
+        return msgspec.json.decode(path.read_bytes(), type=tuple[Copied, ...])
+    except FileNotFoundError:
+        return ()
+    except (OSError, msgspec.MsgspecError) as error:
+        raise ScanFileError(f"{path} cannot be read: {error}; remove it, copies are not changed by that") from None
+
+
+def copy_scan(folder: Path, dest: Path, progress: Progress = lambda _done, _total: None) -> Copied:
+    """Copy the scan's folder into the folder ``dest``, verify it there, and mark it beside the scan. Own it meanwhile.
+
+    Raises:
+        ScanFileError: a target that is there already or within the scan, no room, a file that changed or arrived
+            damaged, or a disk that fails; nothing of the copy is left (nor after Ctrl-C), the scan is as it was.
+    """
+    files = _files_of(folder)
+    total = sum(path.stat().st_size for path in files)
+    target = _target(folder, dest, total)
+    with _making(target) as making:
+        done = 0
+
+        def count(nbytes: int) -> None:
+            nonlocal done
+            done += nbytes
+            progress(done, 2 * total)
+
+        sums = {path.name: _copied(path, making / path.name, count) for path in files}
+        for name, wanted in sums.items():
+            if _digest(making / name, count) != wanted:
+                raise ScanFileError(f"{name} arrived damaged on {dest}: nothing was kept there; check that disk")
+        text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
+        (making / CHECKSUMS_NAME).write_text(text, encoding="utf-8")
+        _sync(making / CHECKSUMS_NAME)
+        _sync(making)
+        making.rename(target)
+    _sync(target.parent)
+    made = Copied(str(target), datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), total, len(files))
+    _mark(folder, made)
+    return made
+
+
+def _files_of(folder: Path) -> list[Path]:
+    found = []
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.name in (OWNER_LOCK_NAME, COPIES_NAME, CHECKSUMS_NAME):
+            continue
+        if path.is_symlink() or not path.is_file():
+            raise ScanFileError(f"{folder} holds {path.name}, which is no file of a scan: copy it by hand")
+        found.append(path)
+    return found
+
+
+def _target(folder: Path, dest: Path, total: int) -> Path:
+    dest = dest.expanduser().resolve()
+    if not dest.is_dir():
+        raise ScanFileError(f"{dest} is not a folder: make it, or mount the disk")
+    if dest == folder or folder in dest.parents:
+        raise ScanFileError(f"{dest} lies within the scan itself: name another folder")
+    target = dest / folder.name
+    if target.exists():
+        raise ScanFileError(f"{target} is there already and was left alone: name another folder")
+    free = shutil.disk_usage(dest).free
+    if free < total:
+        raise ScanFileError(f"{dest} has {format_bytes(free)} free, the scan needs {format_bytes(total)}: make room")
+    return target
+
+
+@contextmanager
+def _making(target: Path) -> Iterator[Path]:
+    """A folder under a temporary name beside ``target``; gone if the work in it fails."""
+    making = target.with_name(f".copying-{target.name}-{os.getpid()}")
+    try:
+        making.mkdir()
+        yield making
+    except OSError as error:
+        raise ScanFileError(
+            f"the copy to {target.parent} failed: {error.strerror or error}; nothing of it is left, the scan is whole"
+        ) from None
+    finally:
+        shutil.rmtree(making, ignore_errors=True)
+
+
+def _copied(source: Path, target: Path, count: Callable[[int], None]) -> str:
+    """sha256 (hex) of what was read; the copy is on the disk when this returns."""
+    digest = hashlib.sha256()
+    with source.open("rb") as reading, target.open("xb") as writing:
+        while chunk := reading.read(CHUNK_BYTES):
+            digest.update(chunk)
+            writing.write(chunk)
+            count(len(chunk))
+        writing.flush()
+        os.fsync(writing.fileno())
+    shutil.copystat(source, target)
+    return digest.hexdigest()
+
+
+def _digest(path: Path, count: Callable[[int], None]) -> str:
+    """sha256 (hex) of a file as the disk has it: what the kernel still holds of it is let go first."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        while chunk := file.read(CHUNK_BYTES):
+            digest.update(chunk)
+            count(len(chunk))
+    return digest.hexdigest()
+
+
+def _sync(path: Path) -> None:
+    fd = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _mark(folder: Path, made: Copied) -> None:
+    """Remember the copy beside the scan."""
+    path, temporary = folder / COPIES_NAME, folder / f".{COPIES_NAME}.{os.getpid()}.tmp"
+    try:
+        temporary.write_bytes(msgspec.json.format(msgspec.json.encode((*copies_of(folder), made)), indent=1) + b"\n")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise ScanFileError(f"the copy in {made.to} is whole, but {path} cannot be written: {error.strerror}") from None

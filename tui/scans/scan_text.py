@@ -1,0 +1,61 @@
+"""What can be done with a scan, and what work on it came to, in words for people; pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tui.processes.child_jobs import Job
+from tui.scans.folder import ScanEntry
+
+
+def verify_words(result: dict[str, Any]) -> str:
+    """What 'sweepscope verify --json' came to."""
+    if result.get("ok"):
+        return f"{result.get('committed')} of {result.get('expected')} frames are there, all checksums fit"
+    return "; ".join(str(problem) for problem in result.get("problems", ())) or "not sound"
+
+
+def reconstruct_words(result: dict[str, Any]) -> str:
+    """What 'sweepscope reconstruct --json' came to."""
+    points = result.get("points")
+    made = "maps, no cloud" if points is None else f"{points} points"
+    notes = "; ".join(str(warning) for warning in result.get("warnings", ()))
+    return made + (f" ({notes})" if notes else "")
+
+
+def recover_words(result: dict[str, Any]) -> str:
+    """What 'sweepscope recover --json' came to."""
+    found = result.get("scans") or []
+    if not found:
+        return "there was nothing to look after"
+    scan = found[0]
+    words = f"{scan.get('state')}, {scan.get('committed')} of {scan.get('expected')} frames are safe"
+    return words + (f" ({scan['detail']})" if scan.get("detail") else "")
+
+
+def copy_words(result: dict[str, Any]) -> str:
+    """What 'sweepscope copy --json' came to."""
+    return f"in {result.get('to')}, {result.get('files')} files verified by checksum"
+
+
+def why_not_now(action: str, entry: ScanEntry, job: Job | None) -> str:
+    """Why the scans screen's ``action`` cannot be done with a scan on which ``job`` works; empty if it can."""
+    if action == "cancel":
+        return "" if job else "nothing works on this scan"
+    if entry.state == "running":
+        return "a sweep runs into this scan"
+    if job is not None and action != "open":
+        return f"{job.title.split()[0]} works on it: wait, or x cancels"
+    return _why_not_in_state(action, entry)
+
+
+def _why_not_in_state(action: str, entry: ScanEntry) -> str:
+    if action == "open":
+        return "" if entry.has_maps else "it has no maps yet: m makes them"
+    if action in ("resume", "seal") and entry.state != "interrupted":
+        return "only an interrupted scan can go on, or be closed"
+    if action == "recover" and entry.state == "sealed":
+        return "it is sealed: there is nothing to recover"
+    if entry.state == "unreadable" and action not in ("recover", "trash"):
+        return "it cannot be read"
+    return ""

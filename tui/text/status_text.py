@@ -1,0 +1,154 @@
+"""The rig's state in words and signs, the same on every screen and in every print; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from acquire.contract.messaging.messages import FaultReport, ResultProgress, Status
+from acquire.contract.states import Outcome, State, outcome_words
+from acquire.contract.units import format_duration
+
+RUNNING_STATES = frozenset({State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING})
+"""States in which a sweep is under way."""
+MOVING_STATES = RUNNING_STATES | {State.HOMING, State.MOVING, State.PREVIEW}
+
+
+@dataclass(frozen=True)
+class Sign:
+    """How a state looks; the word is always beside the glyph, so that nothing rests on colour or font."""
+
+    glyph: str
+    ascii_glyph: str
+    colour: str
+    """A variable of the theme."""
+
+
+_SIGNS: dict[str, Sign] = {
+    State.DISCONNECTED: Sign("○", "o", "warning"),
+    State.IDLE: Sign("●", "*", "success"),
+    State.HOMING: Sign("⌂", "H", "accent"),
+    State.MOVING: Sign("↔", "M", "accent"),
+    State.PREVIEW: Sign("◉", "P", "accent"),
+    State.ARMED: Sign("◆", "A", "accent"),
+    State.SWEEPING: Sign("▶", ">", "primary"),
+    State.HOLDING: Sign("‖", "=", "warning"),
+    State.FINISHING: Sign("◢", "F", "primary"),
+    State.FAULT: Sign("✖", "X", "error"),
+}
+UNKNOWN_SIGN = Sign("?", "?", "warning")
+
+
+def sign_of(state: str) -> Sign:
+    """The sign of a state; that of the unknown for a state of a newer daemon."""
+    return _SIGNS.get(state, UNKNOWN_SIGN)
+
+
+def state_words(status: Status) -> str:
+    """``HOLDING (paused)``."""
+    held = f" ({status.hold_reason})" if status.hold_reason else ""
+    return status.state.upper() + held
+
+
+def is_running(status: Status | None) -> bool:
+    """True while a sweep is under way."""
+    return status is not None and status.state in RUNNING_STATES
+
+
+def position_words(status: Status) -> str:
+    """``1 234.5 um   389 microsteps (trusted)``."""
+    trust = "trusted" if status.position_trusted else "NOT TRUSTED: home first"
+    return f"{status.position_um:,.1f} um  {status.position_steps} microsteps  {trust}".replace(",", " ")
+
+
+def scan_name(status: Status) -> str:
+    """Name of the running or last scan's folder; empty before the first."""
+    return status.scan_path.rstrip("/").rpartition("/")[2]
+
+
+def outcome_line(status: Status) -> str:
+    """How the last scan ended; empty before the first, and until the daemon has let go of the sealed file."""
+    if status.outcome in ("", Outcome.RUNNING) or is_running(status):
+        return ""
+    words = outcome_words(status.outcome, status.committed, status.expected)
+    if words.startswith("SAVED") and status.missing:
+        return f"{status.outcome}: {status.committed} of {status.expected} frames are safe"
+    return words
+
+
+def fraction_done(status: Status) -> float:
+    """Committed frames over expected ones, 0..1."""
+    return min(1.0, status.committed / status.expected) if status.expected else 0.0
+
+
+def bar(fraction: float, width: int, *, ascii_only: bool = False) -> str:
+    """A progress bar of ``width`` characters."""
+    full, empty = ("#", "-") if ascii_only else ("█", "░")
+    filled = round(max(0.0, min(1.0, fraction)) * width)
+    return full * filled + empty * (width - filled)
+
+
+def rate_words(status: Status) -> str:
+    """``14.8 frames/s  remaining 0:00:07``; the time is not guessed while nothing moves."""
+    eta_s = status.eta_s if status.state == State.SWEEPING else None
+    return f"{status.rate_hz:.1f} frames/s  remaining {format_duration(eta_s)}"
+
+
+def credit_words(status: Status) -> str:
+    """``credit 37 of 120 frames``."""
+    writer = "" if status.writer_alive else "  writer away"
+    return f"credit {status.credit} of {status.window} frames{writer}"
+
+
+def worker_words(progress: ResultProgress | None) -> str:
+    """How far the worker is behind and how many points there are."""
+    if progress is None:
+        return "worker: nothing heard yet"
+    points = f"{progress.points_settled} points settled, {progress.points_provisional} provisional"
+    return f"worker {progress.lag_frames} frames behind  {points}"
+
+
+def newest_fault(faults: Sequence[FaultReport]) -> FaultReport | None:
+    """The fault that a banner shows: the newest that nobody has acknowledged."""
+    waiting = [fault for fault in faults if not fault.acknowledged]
+    return max(waiting, key=lambda fault: fault.at_mono_ns) if waiting else None
+
+
+def progress_line(status: Status, progress: ResultProgress | None = None) -> str:
+    """One line for a log: state, frames, rate, remaining time, and points where the worker was heard."""
+    percent = f"{100 * fraction_done(status):.0f} %"
+    found = progress.points_settled + progress.points_provisional if progress else 0
+    points = f"  {found} points" if found else ""
+    rate = f"  {rate_words(status)}" if status.state == State.SWEEPING and status.rate_hz else ""
+    return f"{state_words(status):<12} {status.committed}/{status.expected} frames  {percent:>5}{rate}{points}"
+
+
+def status_lines(status: Status) -> list[str]:
+    """The whole state for a person who typed `sweepscope status`."""
+    devices = f"{status.stage_kind or 'no'} stage, {status.camera_kind or 'no'} camera, lamp {_on(status.lamp_on)}"
+    lines = [f"{sign_of(status.state).glyph} {state_words(status)}  {devices}", f"position  {position_words(status)}"]
+    if status.activity:
+        lines.append(f"doing     {status.activity}  {100 * status.activity_share:.0f} %")
+    if status.control:
+        lines.append(f"control   {status.control}")
+    if status.proposal is not None:
+        found = status.proposal
+        ends = f"{found.first_steps} to {found.last_steps}, {found.frames} frames, {found.exposure_ms:.3g} ms"
+        lines += [f"proposal  {ends}", *(f"warning   {warning}" for warning in found.warnings)]
+    if status.scan_path:
+        counts = (
+            f"triggered {status.triggered}  received {status.received}  committed {status.committed}  "
+            f"durable {status.durable}  retaken {status.retaken}  missing {status.missing}"
+        )
+        lines += [f"scan      {status.scan_path}", f"frames    {counts}  of {status.expected}"]
+        lines += [outcome_line(status) or f"progress  {rate_words(status)}  {credit_words(status)}"]
+    lines += [
+        f"FAULT {fault.code}: {fault.happened}. Safe: {fault.safe}. To do: {fault.to_do}" for fault in status.faults
+    ]
+    if status.message:
+        lines.append(status.message)
+    return lines
+
+
+def _on(value: bool) -> str:
+    return "on" if value else "off"
