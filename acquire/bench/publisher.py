@@ -16,7 +16,6 @@ import zmq
 from numpy.typing import NDArray
 
 from acquire.activities.images import View
-from acquire.contract.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.errors import NoServiceError, SweepscopeError
 from acquire.contract.messaging.lanes import Sender, bind, connect, receive, shared
 from acquire.contract.messaging.messages import (
@@ -30,6 +29,7 @@ from acquire.contract.messaging.messages import (
     Status,
 )
 from acquire.contract.plan import SweepPlan
+from acquire.contract.process.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.states import Outcome, State
 from acquire.contract.units import NS_PER_S

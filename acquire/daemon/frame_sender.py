@@ -11,9 +11,9 @@ import zmq
 
 from acquire.contract.errors import ProtocolError
 from acquire.contract.frame_ranges import indices_of
-from acquire.contract.log_throttle import log_now_and_then
 from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
+from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.units import NS_PER_S
 from acquire.sweep.credit_window import Kept, Window
 from acquire.sweep.events import Committed, LaneEvent, Refused, Sealed, WriterReady

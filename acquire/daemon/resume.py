@@ -19,7 +19,7 @@ from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat, Start
 from acquire.contract.plan import SweepPlan
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader, read_marks

@@ -16,20 +16,19 @@ import msgspec
 
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.calibration import check_size, check_validity, load_calibration, parse_calibration
-from acquire.contract.clocks import epoch_utc_ns, utc_now_iso, utc_stamp
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CalibrationError, CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat, Start
 from acquire.contract.plan import MAX_FRAMES, SweepPlan
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.clocks import epoch_utc_ns, utc_now_iso, utc_stamp
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import CHECK_ROLES, OWNER_LOCK_NAME
 from acquire.contract.units import format_bytes, format_duration, ns_from_ms
+from acquire.daemon.commands.requests import ScanRequest
 from acquire.rigs.base import Rig
 from acquire.sweep.credit_window import slots_for
 from acquire.sweep.settings import SweepSettings
-
-from .requests import ScanRequest
 
 _LONGEST_FINAL_MOVE_MS = 10_000.0
 LONGEST_EXPOSURE_SHARE = 0.9

@@ -15,29 +15,29 @@ import zmq
 
 from acquire.activities.runner import Interlude
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
-from acquire.contract.clocks import Clock, MonotonicClock, epoch_utc_ns
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.faults import in_one_line, report
-from acquire.contract.log_throttle import Threshold
-from acquire.contract.logs import follow_scan
 from acquire.contract.messaging.lanes import Sender, bind
 from acquire.contract.messaging.messages import Command, FaultReport, Status
-from acquire.contract.notify import Notifier
-from acquire.contract.run_dir import lock_service, prepare_run_dir
+from acquire.contract.process.clocks import Clock, MonotonicClock, epoch_utc_ns
+from acquire.contract.process.log_throttle import Threshold
+from acquire.contract.process.logs import follow_scan
+from acquire.contract.process.notify import Notifier
+from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import HoldReason, Outcome, State, outcome_words, transition
 from acquire.contract.units import NS_PER_S
+from acquire.daemon.commands.command_server import CommandLane
+from acquire.daemon.commands.control import Control
+from acquire.daemon.commands.scan_commands import Desk
 from acquire.rigs.base import Rig
 from acquire.rigs.build import build_rig
 from acquire.stages.protocol import StageEvent
 from acquire.sweep.events import StopRequested, Tick
 
 from .clock_watch import TimeWatch
-from .command_server import CommandLane
-from .control import Control
 from .event_queue import Inbox
 from .frame_sender import FrameLane
 from .preview_publisher import PreviewLane
-from .scan_commands import Desk
 from .scan_runner import RunningScan
 from .scan_setup import PreparedScan
 from .status import Board

@@ -12,9 +12,9 @@ from acquire.contract.config.load import LoadedConfig
 from acquire.contract.messaging.messages import FaultReport, Status
 from acquire.contract.states import State
 from acquire.contract.units import NS_PER_S, steps_to_um
+from acquire.daemon.commands.control import Control
 from acquire.stages.protocol import StageInfo, StageStatus
 
-from .control import Control
 from .frame_sender import FrameLane
 from .lamp_timer import LampTimer
 from .preview_publisher import PreviewLane

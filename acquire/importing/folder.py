@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.cameras.image_files import format_of, list_pictures, read_picture
-from acquire.contract.clocks import utc_now_iso
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import FrameFormat, Image, Purpose
+from acquire.contract.process.clocks import utc_now_iso
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
 from acquire.writer.create_file import ScanRecipe, create_file

@@ -20,11 +20,11 @@ from zmq.auth.thread import ThreadAuthenticator
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.config.model import NetworkConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError
-from acquire.contract.log_throttle import log_now_and_then
 from acquire.contract.messaging.lanes import MAX_COMMAND_BYTES, open_socket
 from acquire.contract.messaging.messages import Command
-from acquire.contract.notify import Notifier
-from acquire.contract.run_dir import endpoint, lock_service, prepare_run_dir
+from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.notify import Notifier
+from acquire.contract.process.run_dir import endpoint, lock_service, prepare_run_dir
 
 from .addresses import ASKED, OFFERED, SPOKEN, Address
 from .keys import ALLOWED_NAME, SERVER_KEY_NAME, Allowed, KeyPair, load_allowed, load_pair, rig_folder, signature_of

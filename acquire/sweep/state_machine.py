@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
-from acquire.contract.log_throttle import is_worth_saying
+from acquire.contract.process.log_throttle import is_worth_saying
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Triggered
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
 from acquire.contract.frame_ranges import ranges_of
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import (
     CREATING_PREFIX,
     NO_SCAN_NAMES,

@@ -17,12 +17,12 @@ import zmq
 
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import AlreadyRunningError, ProtocolError
-from acquire.contract.logs import follow_scan
 from acquire.contract.messaging.codec import ProtocolMismatchError
 from acquire.contract.messaging.lanes import Received, Sender, open_socket, receive
 from acquire.contract.messaging.messages import End, Hello, Image, Message, Nack, Start
-from acquire.contract.notify import Notifier
-from acquire.contract.run_dir import endpoint, lock_service, prepare_run_dir
+from acquire.contract.process.logs import follow_scan
+from acquire.contract.process.notify import Notifier
+from acquire.contract.process.run_dir import endpoint, lock_service, prepare_run_dir
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 from .disk_thread import DiskThread

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
-from acquire.contract.log_throttle import log_now_and_then
 from acquire.contract.messaging.messages import Ack, AckItem, End, EndAck, Image, Message, Nack, Start, StartAck
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME, SEALED_NAME
 from acquire.contract.states import Outcome
 

@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from acquire.contract.clocks import MonotonicClock
 from acquire.contract.config.load import LoadedConfig
-from acquire.contract.logs import is_journal
-from acquire.contract.notify import Notifier
-from acquire.contract.run_dir import lock_service, prepare_run_dir
+from acquire.contract.process.clocks import MonotonicClock
+from acquire.contract.process.logs import is_journal
+from acquire.contract.process.notify import Notifier
+from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from process.viewer.panels.camera_panel import CameraPanel
 from process.viewer.panels.measuring import Measuring
 from process.viewer.panels.rig_panel import RigPanel

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import zmq
 
-from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import ProtocolError, ScanFileError, SweepscopeError
-from acquire.contract.logs import follow_scan
 from acquire.contract.messaging.lanes import Received, bind, connect, open_socket, receive
 from acquire.contract.messaging.messages import End, Image, Message, ResultEnd, Start, Status
-from acquire.contract.notify import Notifier
-from acquire.contract.run_dir import endpoint, lock_service
+from acquire.contract.process.clocks import Clock, MonotonicClock
+from acquire.contract.process.logs import follow_scan
+from acquire.contract.process.notify import Notifier
+from acquire.contract.process.run_dir import endpoint, lock_service
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 from process.results.scan_frames import open_frames
 from process.warmup import warm_up

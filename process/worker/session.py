@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.messaging.messages import End, Image, ResultProgress, Status
+from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS
 from process.cloud.triangulation import rays

@@ -13,7 +13,7 @@ import zmq
 from acquire.contract.messaging.codec import encode
 from acquire.contract.messaging.lanes import connect
 from acquire.contract.messaging.messages import PROTOCOL, Command, Image, Nack
-from acquire.daemon.requests import REQUESTS
+from acquire.daemon.commands.requests import REQUESTS
 
 LANES = {
     "command": zmq.DEALER,

@@ -23,7 +23,7 @@ import zmq
 
 from acquire.contract.messaging.lanes import Sender, bind
 from acquire.contract.messaging.messages import End, EndAck, FrameFormat, Image, Nack, Status
-from acquire.contract.run_dir import lock_service, prepare_run_dir
+from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State
 from acquire.daemon.frame_sender import FrameLane
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady

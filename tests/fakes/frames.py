@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.messaging.messages import FrameFormat, Image, Start
 from acquire.contract.plan import SweepPlan
+from acquire.contract.process.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.scan_data.checksums import frame_crc32
 
 UM_PER_MICROSTEP = 3.175

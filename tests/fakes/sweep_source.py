@@ -32,7 +32,7 @@ from acquire.contract.messaging.messages import (
     Status,
 )
 from acquire.contract.plan import SweepPlan
-from acquire.contract.run_dir import endpoint
+from acquire.contract.process.run_dir import endpoint
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
 from acquire.writer.scan_file import ScanFile, create_scan

@@ -122,7 +122,7 @@ def _no_time_watch() -> None:
 
 
 def _wall_clock() -> None:
-    from acquire.contract.clocks import MonotonicClock, epoch_utc_ns
+    from acquire.contract.process.clocks import MonotonicClock, epoch_utc_ns
 
     at_start_ns = epoch_utc_ns()
     _replace(MonotonicClock, "now_ns", lambda _self: time.time_ns() - at_start_ns)
@@ -230,7 +230,7 @@ def _blocking_live_lane() -> None:
 
 
 def _one_client_only() -> None:
-    from acquire.daemon.command_server import CommandLane
+    from acquire.daemon.commands.command_server import CommandLane
 
     real, known = CommandLane._answer, set()
 

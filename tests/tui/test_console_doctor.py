@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tui.console.doctor import Measured, findings
-from tui.console.terminal import choose_colours, colours_of, picture_mode
+from tui.console.terminal.doctor import Measured, findings
+from tui.console.terminal.terminal import choose_colours, colours_of, picture_mode
 
 GOOD = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "LANG": "en_US.UTF-8"}
 FAST = Measured(0.005, None, synchronised=True)

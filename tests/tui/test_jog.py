@@ -9,7 +9,7 @@ from acquire.contract.errors import ConfigError
 from acquire.contract.messaging.messages import Proposal
 from acquire.contract.states import HoldReason, State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
-from tui.console.keymap import load_keymap
+from tui.console.keys.keymap import load_keymap
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import JogGate, clip, next_size
 from tui.console.state.scan_draft import Draft

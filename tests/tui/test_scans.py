@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.errors import AlreadyRunningError, ScanFileError
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.scan_data.notes import Notes, notes_of, write_notes
 from acquire.writer.verify import info

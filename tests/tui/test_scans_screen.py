@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from textual.widgets import Input
 
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from tests.fakes.small_scans import make_scan
 from tests.fakes.some_maps import write_maps

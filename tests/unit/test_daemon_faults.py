@@ -11,7 +11,7 @@ from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.states import Outcome, State
-from acquire.daemon.requests import ScanRequest
+from acquire.daemon.commands.requests import ScanRequest
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm, StageInfo, StageStatus
@@ -106,7 +106,7 @@ def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(runni
 
 def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(daemon, monkeypatch):
     from acquire.contract.messaging.messages import Command
-    from acquire.daemon import scan_commands as desk
+    from acquire.daemon.commands import scan_commands as desk
 
     def fails(*_args):
         raise OSError(5, "Input/output error")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.daemon.control import Control
+from acquire.daemon.commands.control import Control
 from acquire.stages.protocol import Alarm
 
 # ---- preview ----

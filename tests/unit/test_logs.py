@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract import logs
+from acquire.contract.process import logs
 
 
 def record(text: str) -> logging.LogRecord:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.notify import Notifier
+from acquire.contract.process.notify import Notifier
 
 
 @pytest.fixture

@@ -11,7 +11,14 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.errors import AlreadyRunningError, ConfigError, NoServiceError
-from acquire.contract.run_dir import client_run_dir, endpoint, is_locked, lock_service, prepare_run_dir, service_run_dir
+from acquire.contract.process.run_dir import (
+    client_run_dir,
+    endpoint,
+    is_locked,
+    lock_service,
+    prepare_run_dir,
+    service_run_dir,
+)
 
 
 def listen(path):
@@ -56,7 +63,7 @@ def test_a_run_directory_that_is_open_to_all_is_refused(run_dir):
 
 def test_a_second_service_is_refused_with_the_pid_of_the_first(run_dir):
     code = (
-        "import sys; from pathlib import Path; from acquire.contract.run_dir import lock_service\n"
+        "import sys; from pathlib import Path; from acquire.contract.process.run_dir import lock_service\n"
         "lock = lock_service(Path(sys.argv[1]), 'writer'); print('locked', flush=True); sys.stdin.read()"
     )
     first = subprocess.Popen([sys.executable, "-c", code, str(run_dir)], stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import NO_SCAN_NAMES, OWNER_LOCK_NAME, FrameStatus
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome

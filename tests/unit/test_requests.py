@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from acquire.contract.errors import CalibrationError, CommandRefusedError
-from acquire.daemon.requests import REQUESTS, JogRequest, ScanRequest, parse_request
+from acquire.daemon.commands.requests import REQUESTS, JogRequest, ScanRequest, parse_request
 
 
 def test_arguments_become_typed_structs():
@@ -36,7 +36,7 @@ def test_arguments_that_do_not_fit_are_refused_by_name(name, args):
 
 
 def test_every_command_has_a_method_at_the_desk():
-    from acquire.daemon.scan_commands import Desk
+    from acquire.daemon.commands.scan_commands import Desk
 
     assert all(callable(getattr(Desk, f"_{name}")) for name in REQUESTS)
 

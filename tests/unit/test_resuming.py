@@ -11,7 +11,7 @@ from acquire.cameras.protocol import CameraInfo, CameraLostError, CameraSettings
 from acquire.contract.config.load import LoadedConfig, load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat
-from acquire.contract.run_dir import FileLock
+from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.states import Outcome
 from acquire.daemon.resume import prepare_resume

@@ -54,7 +54,7 @@ class Session:
     @contextmanager
     def client(self) -> Iterator[RigClient]:
         """A client of the running daemon, here or far away (raises NoServiceError)."""
-        from acquire.contract.run_dir import client_run_dir
+        from acquire.contract.process.run_dir import client_run_dir
         from tui.client.client_name import my_name_at_a_terminal
         from tui.client.rig_client import RigClient
 
@@ -90,13 +90,13 @@ class Session:
 
     def service_run_dir(self) -> Path:
         """The directory of the services' sockets, made if it is not there."""
-        from acquire.contract.run_dir import prepare_run_dir, service_run_dir
+        from acquire.contract.process.run_dir import prepare_run_dir, service_run_dir
 
         return prepare_run_dir(service_run_dir())
 
     def log_as(self, service: str) -> None:
         """Send log records to the journal, or to stderr, one line each, with the service's name."""
-        from acquire.contract.logs import set_up
+        from acquire.contract.process.logs import set_up
 
         set_up(service, debug=self.debug)
 

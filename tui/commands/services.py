@@ -93,7 +93,7 @@ def console(
     Closing it never touches a sweep: come back at any time."""
     if context.invoked_subcommand is not None:
         return 0
-    from tui.console.terminal import choose_colours, picture_mode, require_terminal
+    from tui.console.terminal.terminal import choose_colours, picture_mode, require_terminal
 
     require_terminal("the console")
     config = context.obj.config()  # an unusable rig.toml is told before the screen is taken
@@ -116,10 +116,10 @@ def console(
 @console.command()
 def doctor() -> int:
     """Look at this terminal and its link, and say what to mend."""
-    from tui.console.terminal import require_terminal
+    from tui.console.terminal.terminal import require_terminal
 
     require_terminal("the console's doctor")
-    from tui.console.doctor import examine
+    from tui.console.terminal.doctor import examine
 
     return 1 if examine(click.echo) else 0
 

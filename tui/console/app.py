@@ -23,7 +23,7 @@ from textual.dom import DOMNode
 from textual.message import Message
 
 from tui.console.job_runner import JobDesk
-from tui.console.keynames import key_name
+from tui.console.keys.keynames import key_name
 from tui.console.link.messages import (
     CommandAnswered,
     JobChanged,
@@ -47,7 +47,7 @@ from tui.console.state.fault_log import FaultBook
 from tui.console.state.log_messages import Narrator
 from tui.console.state.logbook import LogBook, local_time
 from tui.console.state.stop_state import StopWatch
-from tui.console.terminal_driver import ConsoleDriver, Meter
+from tui.console.terminal.terminal_driver import ConsoleDriver, Meter
 from tui.console.themes import THEMES
 from tui.text.status_text import is_running, newest_fault
 
@@ -426,7 +426,7 @@ def run_console(
 ) -> int:
     """Run the console on this terminal until the operator leaves; returns the exit status."""
     from tui.console.link.rig_link import RigLink  # noqa: PLC0415 - tests run the console without sockets
-    from tui.console.terminal import prepare_terminal  # noqa: PLC0415
+    from tui.console.terminal.terminal import prepare_terminal  # noqa: PLC0415
 
     def make_link(post: Callable[[Message], Any]) -> Link:
         return RigLink(post, run_dir=run_dir, command_timeout_s=command_timeout_s, client=options.me)

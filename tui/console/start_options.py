@@ -10,7 +10,7 @@ from textual.binding import Binding
 from acquire.contract.config.load import LoadedConfig
 from tui.client.client_name import my_name, user_name
 from tui.console.app import ConsoleApp
-from tui.console.keymap import keymap_path, load_keymap
+from tui.console.keys.keymap import keymap_path, load_keymap
 from tui.console.options import ConsoleOptions
 from tui.console.screen_table import SCREENS
 from tui.console.state.scan_draft import Draft

@@ -13,7 +13,7 @@ from acquire.contract.messaging.messages import Status
 from acquire.contract.states import State
 from tui.client.follow import Narrator, follow_scan
 from tui.client.rig_client import ProgressFeed, RigClient, somebody_listens
-from tui.console.terminal import choose_colours, is_terminal, picture_mode
+from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
 from tui.demo.report import Verdict, is_final, read_report
 from tui.demo.rig import DemoOptions, DemoRig
 from tui.processes.all_services import SERVICES, read_url, say, signals_set

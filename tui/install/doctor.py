@@ -12,7 +12,7 @@ from acquire.contract.calibration import Validity, load_calibration
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import CalibrationError, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
-from acquire.contract.run_dir import client_run_dir
+from acquire.contract.process.run_dir import client_run_dir
 from tui.install.device_checks import check_camera, check_firmware, check_stage
 from tui.install.finding import Finding
 from tui.install.host_checks import (

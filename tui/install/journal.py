@@ -13,7 +13,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 from acquire.contract.errors import SweepscopeError
-from acquire.contract.logs import SCAN_FIELD, SERVICE_FIELD
+from acquire.contract.process.logs import SCAN_FIELD, SERVICE_FIELD
 from tui.install.machine import InstallError, run
 
 REPORT_LINES = 5000

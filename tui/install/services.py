@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from acquire.contract.errors import SweepscopeError
-from acquire.contract.run_dir import SYSTEM_RUN, service_run_dir
+from acquire.contract.process.run_dir import SYSTEM_RUN, service_run_dir
 from acquire.contract.states import State
 from tui.client.rig_client import RigClient
 from tui.install.machine import InstallError, systemctl

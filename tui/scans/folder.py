@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from acquire.contract.errors import ScanFileError, SweepscopeError
-from acquire.contract.run_dir import FileLock, is_locked
+from acquire.contract.process.run_dir import FileLock, is_locked
 from acquire.contract.scan_data.dataset_names import MAPS_NAME, OWNER_LOCK_NAME, PARTIAL_NAME, REPORT_NAME, SEALED_NAME
 from acquire.contract.scan_data.notes import Notes, notes_of
 from acquire.contract.scan_data.reader import ScanReader

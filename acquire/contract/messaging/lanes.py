@@ -13,7 +13,7 @@ import msgspec
 import zmq
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.run_dir import endpoint
+from acquire.contract.process.run_dir import endpoint
 
 from .codec import decode, encode
 from .messages import MAX_FRAME_BYTES, Message

@@ -18,11 +18,11 @@ from typing import Any
 
 import zmq
 
-from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messaging.lanes import Sender, open_socket, receive
 from acquire.contract.messaging.messages import Command, Reply
-from acquire.contract.run_dir import endpoint
+from acquire.contract.process.clocks import Clock, MonotonicClock
+from acquire.contract.process.run_dir import endpoint
 from acquire.contract.units import NS_PER_S
 
 QUEUE_LENGTH = 16

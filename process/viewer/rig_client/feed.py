@@ -17,7 +17,6 @@ import zmq
 from numpy.typing import NDArray
 from zmq.utils.monitor import recv_monitor_message
 
-from acquire.contract.clocks import Clock, MonotonicClock
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messaging.lanes import Received, open_socket, receive
 from acquire.contract.messaging.messages import (
@@ -29,7 +28,8 @@ from acquire.contract.messaging.messages import (
     ResultTiles,
     Status,
 )
-from acquire.contract.run_dir import endpoint
+from acquire.contract.process.clocks import Clock, MonotonicClock
+from acquire.contract.process.run_dir import endpoint
 
 from .payloads import pixels_of, points_of
 from .tile import Tile

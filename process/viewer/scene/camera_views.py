@@ -12,7 +12,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from acquire.contract.clocks import Clock, MonotonicClock
+from acquire.contract.process.clocks import Clock, MonotonicClock
 from process.viewer.rig_client.tile import Bounds
 
 FOV_RAD = math.radians(40)

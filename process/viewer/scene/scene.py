@@ -12,9 +12,9 @@ import viser
 from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, load_calibration, parse_calibration
-from acquire.contract.clocks import Clock
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.messages import Status
+from acquire.contract.process.clocks import Clock
 from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.units import NS_PER_S
 from process.viewer.markup import Picture

@@ -117,7 +117,7 @@ def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
 
     from acquire.contract.messaging.lanes import arrived, connect
     from acquire.contract.messaging.messages import Picture
-    from acquire.contract.run_dir import client_run_dir
+    from acquire.contract.process.run_dir import client_run_dir
     from process.calibration.board.guidance import look
 
     context: zmq.Context[Any] = zmq.Context()

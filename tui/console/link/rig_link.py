@@ -16,7 +16,7 @@ from textual.message import Message as UiMessage
 from acquire.contract.errors import NoServiceError, ProtocolError, SweepscopeError
 from acquire.contract.messaging.lanes import Received, Sender, arrived, connect, open_socket
 from acquire.contract.messaging.messages import Message, Picture, Reply, ResultEnd, ResultMaps, ResultProgress, Status
-from acquire.contract.run_dir import client_run_dir, endpoint
+from acquire.contract.process.run_dir import client_run_dir, endpoint
 from tui.client.rig_client import new_request
 from tui.console.link.messages import (
     LinkChanged,

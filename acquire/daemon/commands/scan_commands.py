@@ -9,14 +9,14 @@ import msgspec
 
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.states import State
+from acquire.daemon.resume import prepare_resume, released_on_failure
+from acquire.daemon.scan_setup import PreparedScan, check_scan, estimated_duration_s, prepare_scan
 from acquire.stages.protocol import StageStatus
 from acquire.sweep.events import PauseRequested, ResumeRequested, StopRequested
 
 from .activity_commands import ActivityDesk
 from .device_commands import Result
 from .requests import AcknowledgeRequest, NoArguments, ResumeScanRequest, ScanRequest, parse_request
-from .resume import prepare_resume, released_on_failure
-from .scan_setup import PreparedScan, check_scan, estimated_duration_s, prepare_scan
 
 
 class Desk(ActivityDesk):

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-from .errors import AlreadyRunningError, ConfigError, NoServiceError
+from acquire.contract.errors import AlreadyRunningError, ConfigError, NoServiceError
 
 LANES = ("frames", "live", "results", "status", "command", "preview")
 SYSTEM_RUN = Path("/run/sweepscope")

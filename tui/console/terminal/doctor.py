@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from tui.console.screens.base import LEAST_HEIGHT, LEAST_WIDTH
-from tui.console.terminal import colours_of
+from tui.console.terminal.terminal import colours_of
 
 ANSWER_S = 2.0
 """Longest wait for the terminal's answer; over SSH it may take a second."""

@@ -10,11 +10,11 @@ from typing import Any, Final
 import zmq
 
 from acquire.activities.jog_hold import LEASE_MS
-from acquire.contract.clocks import Clock
 from acquire.contract.errors import ProtocolError, SweepscopeError
-from acquire.contract.log_throttle import log_now_and_then
 from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Command, Reply
+from acquire.contract.process.clocks import Clock
+from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 logger = logging.getLogger(__name__)

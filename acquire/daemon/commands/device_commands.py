@@ -17,7 +17,7 @@ from acquire.contract.states import State
 from .requests import CameraRequest, ControlRequest, GotoRequest, JogRequest, LampRequest, NoArguments, PreviewRequest
 
 if TYPE_CHECKING:
-    from .service import Daemon
+    from acquire.daemon.service import Daemon
 
 Result = dict[str, Any]
 _UNITS = {"exposure_ms": " ms", "gain": " dB", "brightness_percent": " %"}

@@ -7,7 +7,7 @@ import socket
 import time
 from collections.abc import Mapping
 
-from .units import NS_PER_S
+from acquire.contract.units import NS_PER_S
 
 _BEATS_PER_LIMIT = 4
 """Signs of life within one watchdog period: three may be late before the service counts as stuck."""

@@ -15,10 +15,10 @@ from acquire.activities.specimen import Specimen
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import Proposal
 from acquire.contract.units import NS_PER_MS, NS_PER_S, ns_from_ms
+from acquire.daemon.scan_setup import LONGEST_EXPOSURE_SHARE, estimated_duration_s, plan_of, space_for
 
 from .device_commands import Result, RigDesk
 from .requests import CaptureRequest, JogHoldRequest, NoArguments, PrescanRequest, ScanRequest, SpecimenRequest
-from .scan_setup import LONGEST_EXPOSURE_SHARE, estimated_duration_s, plan_of, space_for
 
 
 class ActivityDesk(RigDesk):

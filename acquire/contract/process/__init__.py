@@ -1,0 +1,1 @@
+"""How a service runs: clocks, run directory, logs, readiness."""
