@@ -4,7 +4,7 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 KERNELS := $(VENV)/.compiled
 TEST_STAMP := $(VENV)/.installed-test
-APT := chromium fonts-dejavu-core systemd tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
+APT := chromium fonts-dejavu-core libusb-1.0-0 systemd tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
 ifneq ($(shell id -u),0)
 SUDO := sudo
 endif
