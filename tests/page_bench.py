@@ -17,8 +17,8 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from tests.fakes.fake_results import hill_tiles
-from tests.fakes.viewer_process import request
-from tests.system.test_viewer_wire import Browser, serving
+from tests.fakes.processes.viewer_process import request
+from tests.system.viewer.test_connection import Browser, serving
 
 TILES_AT_ONCE = 24
 GIVE_UP_S = 120.0

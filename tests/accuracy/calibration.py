@@ -16,7 +16,7 @@ import numpy as np
 
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
-from tests.fakes.simulated_scans import UM_PER_MICROSTEP, simulate_sweep
+from tests.fakes.scans.simulated_scans import UM_PER_MICROSTEP, simulate_sweep
 from tui.cli import run
 
 SIZE = (1024, 768)

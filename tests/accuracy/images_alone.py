@@ -20,7 +20,7 @@ from acquire.contract.config.simulation import SimulationConfig
 from process.cloud.cloud import LEFT_OUT
 from process.cloud.triangulation import planes_at, rays
 from process.crossings.quality import Quality
-from tests.fakes.simulated_scans import plan_of, simulate_sweep
+from tests.fakes.scans.simulated_scans import plan_of, simulate_sweep
 from tui.cli import run
 
 from .calibration import NOISE, SIZE, photograph

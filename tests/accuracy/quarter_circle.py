@@ -16,7 +16,7 @@ from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import build_scene, ideal_calibration
 from process.calibration.calibration_file import write_document
 from tests.accuracy.calibration import NOISE, SIZE
-from tests.fakes.simulated_scans import UM_PER_MICROSTEP, plan_of, simulate_sweep
+from tests.fakes.scans.simulated_scans import UM_PER_MICROSTEP, plan_of, simulate_sweep
 from tui.cli import run
 
 

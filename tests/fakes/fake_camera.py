@@ -27,7 +27,7 @@ from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State
 from acquire.daemon.frame_sender import FrameLane
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
-from tests.fakes.frames import image_of, pixels_of, start_of
+from tests.fakes.scans.frames import image_of, pixels_of, start_of
 
 STATUS_S = 0.2
 

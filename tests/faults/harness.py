@@ -29,10 +29,10 @@ from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.scan_data.dataset_names import FrameStatus
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.simulation import Renderer, build_scene
+from tests import ROOT
 from tests.system.appliance import SMALL, Appliance
 from tui.client.rig_client import RigClient, somebody_listens
 
-ROOT = Path(__file__).parents[2]
 STEPS = 12
 COUNT = 1578 // STEPS + 1
 FRAME_BYTES = 128 * 96 * 3

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from acquire.contract.faults import FAULTS
+from tests import ROOT
 
 from .firmware_rows import FIRMWARE_ROWS, daemon_killed_over_the_controller
 from .harness import a_rig, run_scan
@@ -29,13 +28,13 @@ def test_a_killed_daemon_costs_no_frame_over_the_emulated_controller_either():
 
 def test_every_row_of_the_table_has_its_place():
     assert {*ROWS, *FIRMWARE_ROWS} == set(FAULTS)
-    on_the_emulator = (Path(__file__).parents[1] / "firmware/test_faults.py").read_text()
+    on_the_emulator = (ROOT / "tests/firmware/test_faults.py").read_text()
     for code in FIRMWARE_ROWS:
         assert f"def test_{code.lower()}_" in on_the_emulator
 
 
 def test_the_texts_of_the_manual_are_those_of_the_console():
-    manual = (Path(__file__).parents[2] / "docs/faults.md").read_text()
+    manual = (ROOT / "docs/faults.md").read_text()
     for fault in FAULTS.values():
         assert f"| {fault.code} | {fault.happened} | {fault.safe} | {fault.to_do} |" in manual
 

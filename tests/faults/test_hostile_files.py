@@ -21,7 +21,8 @@ from acquire.importing.folder import import_folder
 from acquire.writer.recover import recover
 from acquire.writer.scan_file import create_scan
 from acquire.writer.verify import verify
-from tests.fakes.frames import image_of, pixels_of, start_of
+from tests import ROOT
+from tests.fakes.scans.frames import image_of, pixels_of, start_of
 
 COUNT = 6
 json_values = st.recursive(
@@ -106,7 +107,7 @@ def test_flipped_bits_in_the_structure_crash_nobody(sealed, tmp_path):
     arguments = [str(tmp_path / "whole"), str(tmp_path / "scan.h5"), "4", "200"]
     done = subprocess.run(
         [sys.executable, "-c", _FLIP, *arguments], capture_output=True, text=True, timeout=100, check=False,
-        cwd=Path(__file__).parents[2],
+        cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
 
@@ -254,7 +255,7 @@ def test_a_folder_with_a_bent_picture_is_refused_in_one_line_or_imported_as_it_i
         cv2.imwrite(str(frames / f"{k}.{suffix}"), shades // (k + 1))
     done = subprocess.run(
         [sys.executable, "-c", _BEND, str(frames), "7", "25"], capture_output=True, text=True, timeout=100,
-        check=False, cwd=Path(__file__).parents[2],
+        check=False, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     refused, _imported = map(int, done.stdout.split())

@@ -15,7 +15,7 @@ from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
 from acquire.writer.frame_store import FrameRefusedError
 from acquire.writer.scan_file import ScanFile, create_scan
-from tests.fakes.frames import image_of, pixels_of, start_of
+from tests.fakes.scans.frames import image_of, pixels_of, start_of
 
 COUNT = 7
 FORMATS = st.builds(

@@ -1,0 +1,53 @@
+"""The console on a terminal that is slow, stuck, or gone."""
+
+from __future__ import annotations
+
+import time
+
+from acquire.contract.states import State
+from tests.fakes.fake_daemon import IDLE, FakeDaemon
+from tests.fakes.processes.pty_console import PtyConsole
+
+
+def test_stop_reaches_the_daemon_while_the_terminal_takes_nothing(run_dir):
+    with FakeDaemon(run_dir, frames_per_tick=1, expected=100_000) as daemon, PtyConsole(run_dir) as console:
+        console.wait_for("IDLE")
+        daemon.show_pictures = True
+        console.wait_for("px")
+        console.stick(b"][" * 100)
+        console.type(b" ")
+        daemon.asked("stop", deadline_s=5.0)
+        assert console.stalled.is_set()
+
+
+def test_on_a_link_of_100_kB_per_s_keys_are_echoed_and_the_picture_gives_way(run_dir):
+    with (
+        FakeDaemon(run_dir) as daemon,
+        PtyConsole(run_dir, rate_bytes_per_s=100_000, size=(160, 50)) as console,
+    ):
+        console.wait_for("IDLE")
+        daemon.show_pictures = True
+        console.wait_for("coarser", deadline_s=40.0)
+        echoes = [_echo_s(console, key, words) for key, words in ((b"]", "100"), (b"]", "300"), (b"[", "100"))]
+        assert sorted(echoes)[1] < 3.0  # seconds of stale pictures would be far above; the figure is in the bench
+
+
+def _echo_s(console: PtyConsole, key: bytes, words: str) -> float:
+    console.forget()
+    begin_s = time.monotonic()
+    console.type(key)
+    console.wait_for(words)
+    return time.monotonic() - begin_s
+
+
+def test_a_terminal_that_is_gone_ends_the_console_and_not_the_sweep(run_dir):
+    sweeping = {"state": State.SWEEPING, "expected": 100_000}
+    with FakeDaemon(run_dir, IDLE) as daemon, PtyConsole(run_dir) as console:
+        console.wait_for("IDLE")
+        daemon.show_pictures = True
+        daemon.show(**sweeping)
+        console.wait_for("SWEEPING")
+        console.hang_up()
+        console.process.send_signal(1)
+        console.process.wait(20)
+        assert daemon.status.state == State.SWEEPING and "stop" not in [name for name, _ in daemon.commands]

@@ -1,0 +1,142 @@
+"""The screens of faults and of the log: nothing that was said is hidden, everything can be taken along as text."""
+
+from __future__ import annotations
+
+import msgspec
+
+from acquire.contract.faults import report
+from tests.fakes.fake_daemon import IDLE
+from tests.unit.tui.console.stage import play
+from tui.console.link.messages import StatusArrived
+from tui.console.screens.faults import FaultDetail
+from tui.console.screens.log import LogView, filtered
+from tui.console.state.fault_log import FaultBook
+from tui.console.state.logbook import LogLine
+from tui.console.widgets.rows import RowList
+
+WRITER = report("F03", 10**9, committed=410, expected=527)
+NOISE = report("F11", 2 * 10**9, detail="block 7")
+
+
+def having(*faults):
+    return msgspec.structs.replace(IDLE, faults=list(faults))
+
+
+def seen(fault):
+    return msgspec.structs.replace(fault, acknowledged=True)
+
+
+def test_each_fault_shows_what_happened_what_is_safe_what_to_do_and_when():
+    async def script(stage):
+        await stage.connect(having(WRITER, NOISE))
+        assert "2, 2 not acknowledged" in str(stage.screen.query_one(RowList).border_title)
+        detail = stage.shown(FaultDetail)
+        assert "F11" in detail and "NOT ACKNOWLEDGED" in detail
+        await stage.press("down")
+        for words in ("F03  the writer is lost", "410 of 527 frames are saved", "it is being restarted", "when"):
+            assert words in stage.shown(FaultDetail)
+
+    play(script, screen="faults")
+
+
+def test_an_acknowledged_fault_and_one_that_the_daemon_forgot_stay_on_the_list():
+    async def script(stage):
+        await stage.connect(having(WRITER))
+        await stage.hear(StatusArrived(having(seen(WRITER))))
+        assert "acknowledged" in stage.shown(FaultDetail) and "NOT" not in stage.shown(FaultDetail)
+        await stage.hear(StatusArrived(having()))
+        assert "the writer is lost" in stage.shown(RowList)
+        assert "the daemon no longer tells of it" in stage.shown(FaultDetail)
+
+    play(script, screen="faults")
+
+
+def test_faults_that_came_while_another_screen_was_in_view_are_there():
+    async def script(stage):
+        await stage.connect(having(WRITER))
+        await stage.hear(StatusArrived(having()))
+        await stage.press("5")
+        assert "the writer is lost" in stage.shown(RowList)
+
+    play(script, screen="log")
+
+
+def test_all_are_acknowledged_with_one_key_and_without_any_it_says_so():
+    async def script(stage):
+        await stage.connect(having())
+        await stage.press("A")
+        assert stage.link.sent == [] and "every fault is acknowledged" in stage.log
+        await stage.hear(StatusArrived(having(WRITER, NOISE)))
+        await stage.press("A")
+        assert stage.link.sent == [("acknowledge", {"code": ""})]
+
+    play(script, screen="faults")
+
+
+def test_faults_are_copied_as_text():
+    async def script(stage):
+        await stage.connect(having(WRITER, NOISE))
+        await stage.press("C")
+        text = stage.app.clipboard
+        for words in ("F03", "F11", "safe:", "to do:", "not acknowledged"):
+            assert words in text
+
+    play(script, screen="faults")
+
+
+def test_the_book_of_faults_is_bounded_and_newest_first():
+    book = FaultBook(wall_time=str)
+    for number in range(600):
+        book.take([report("F11", number, detail=str(number))])
+    assert len(book.faults) == 500 and book.faults[0].report.at_mono_ns == 599
+    assert not book.faults[1].still_told
+
+
+def test_lines_are_filtered_by_level_and_by_all_words():
+    lines = [LogLine("1", "info", "frame taken"), LogLine("2", "warning", "lamp dim"), LogLine("3", "error", "no lamp")]
+    assert [line.at for line in filtered(lines, 0, "")] == ["1", "2", "3"]
+    assert [line.at for line in filtered(lines, 1, "")] == ["2", "3"]
+    assert [line.at for line in filtered(lines, 2, "")] == ["3"]
+    assert [line.at for line in filtered(lines, 0, "LAMP no")] == ["3"]
+
+
+def test_the_log_is_filtered_from_the_keyboard_and_shown_whole_again():
+    async def script(stage):
+        await stage.connect()
+        stage.app.say("the lamp is dim", "warning")
+        await stage.press("l")
+        assert "the lamp is dim" in stage.shown(LogView) and "connected to" not in stage.shown(LogView)
+        await stage.press("l", "l", "slash", *"dim", "enter")
+        assert stage.shown(LogView).count("\n") == 0 and "with 'dim'" in str(
+            stage.screen.query_one(LogView).border_title
+        )
+        await stage.press("escape")
+        assert "connected to" in stage.shown(LogView)
+
+    play(script, screen="log")
+
+
+def test_a_log_that_was_scrolled_back_stands_still_until_it_is_told_to_follow():
+    async def script(stage):
+        for number in range(100):
+            stage.app.say(f"line number {number}")
+        await stage.pilot.pause()
+        assert "line number 99" in stage.shown(LogView)
+        await stage.press("pageup")
+        shown = stage.shown(LogView)
+        stage.app.say("one more")
+        await stage.pilot.pause()
+        assert stage.shown(LogView) == shown and "stands still" in str(stage.screen.query_one(LogView).border_title)
+        await stage.press("end")
+        assert "one more" in stage.shown(LogView)
+
+    play(script, screen="log")
+
+
+def test_the_lines_in_the_filter_are_copied():
+    async def script(stage):
+        stage.app.say("only this", "error")
+        await stage.press("l", "l", "c")
+        assert stage.app.clipboard == "12:00:00 error: only this\n"
+
+    play(script, screen="log")
