@@ -1,4 +1,4 @@
-"""calibration.json: parsed, checked by name, refused when it cannot be meant (design, section 5)."""
+"""calibration.json: parsed, checked by name, refused when it cannot be meant (docs/design.md, section 5)."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ def ideal_calibration(
     count: int,
     parameter: Literal["position_um", "frame"] = "position_um",
 ) -> dict[str, Any]:
-    """The content of calibration.json (design, section 5) without any error, for JSON.
+    """The content of calibration.json (docs/design.md, section 5) without any error, for JSON.
 
     Args:
         scene: what was built; only camera and projector matter. A rehoming error is not in the calibration.

@@ -218,7 +218,7 @@ def make_maps(
     *,
     probit: bool = False,
 ) -> Maps:
-    """Maps of what was folded, by DESIGN section 4; colour is taken over as it is.
+    """Maps of what was folded, by docs/design.md, section 4; colour is taken over as it is.
 
     noise_counts: standard deviation of the noise, in counts of 8 bit. Raises ScanFileError where the
     file contradicts the fold.

@@ -122,7 +122,7 @@ def sweep_speed(plan: SweepPlan | None, plane: TranslatingPlane | PerFramePlanes
     """Commanded against calibrated um per frame.
 
     The plane's motion within itself cannot be seen, so only a velocity whose direction was found or assumed is
-    compared (design, section 5).
+    compared (docs/design.md, section 5).
     """
     commanded = None if plan is None else plan.steps_per_frame * plan.um_per_microstep
     if not isinstance(plane, TranslatingPlane) or plane.velocity_direction == "normal":

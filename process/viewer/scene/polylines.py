@@ -25,7 +25,7 @@ def camera_eye(camera: CameraModel) -> NDArray[np.float64]:
 
 
 def field_of_view(camera: CameraModel) -> Bounds | None:
-    """The box around the image's corners projected onto z = 0 (design, section 5); None if a ray misses it."""
+    """The box around the image's corners projected onto z = 0 (docs/design.md, section 5); None if a ray misses it."""
     rotation, translation = np.asarray(camera.R), np.asarray(camera.T)
     corners = np.array(
         [(x, y, 1.0) for x in (-0.5, camera.width - 0.5) for y in (-0.5, camera.height - 0.5)], dtype=np.float64
