@@ -1,4 +1,4 @@
-"""The plan of a sweep: which frame is taken where. Frame k is at first + k x steps_per_frame (docs/design.md, section 3)."""
+"""The plan of a sweep: frame k is taken at first + k x steps_per_frame (docs/design.md, section 3)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Owns the light plane from sweeps over known surfaces: t = a . X + b that explains all of them, and what it is worth.
 
-The crossing coordinate of a plane that only translates is affine in the point (docs/design.md, section 5): n = a / |a|, and the
-plane moves 1 / |a| along n per unit of t. What lies within the plane cannot be seen, and does not matter for points.
+The crossing coordinate of a plane that only translates is affine in the point (docs/design.md, section 5):
+n = a / |a|, and the plane moves 1 / |a| along n per unit of t. What lies within the plane cannot be seen, and does not
+matter for points.
 """
 
 from __future__ import annotations
