@@ -53,9 +53,15 @@ lint: $(TEST_STAMP)
 test: system-packages $(TEST_STAMP) lint $(KERNELS)
 	$(PY) -m pytest -n 2 --dist loadfile
 
-bench: $(STAMP)
-	$(VENV)/bin/sweepscope bench fold
-	$(VENV)/bin/sweepscope bench pipeline
+# make bench BENCH=console, or BENCH="estimates --speed"; without it fold and pipeline
+BENCH ?=
+bench: $(TEST_STAMP)
+ifeq ($(BENCH),)
+	$(PY) -m tests.bench fold
+	$(PY) -m tests.bench pipeline
+else
+	$(PY) -m tests.bench $(BENCH)
+endif
 
 # the fault table over many points; SABOTAGE=1 switches each protection off in turn, WRITE=docs/faults.md keeps the table
 POINTS ?= 3

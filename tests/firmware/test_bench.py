@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from acquire.bench.stage import bench_stage
+from tests.bench.stage import bench_stage
 
 
 @pytest.mark.slow

@@ -185,9 +185,8 @@ def logs(service: str | None, scan_uid: str | None, lines: int, follow: bool, as
 
 @click.command()
 @click.argument("target", default="sweepscope-report.tar.gz", type=click.Path(path_type=Path))
-@click.option("--bench", "with_bench", is_flag=True, help="Measure the fold too.")
 @click.pass_obj
-def report(session: Session, target: Path, with_bench: bool) -> None:
+def report(session: Session, target: Path) -> None:
     """Pack what a maintainer would ask for.
 
     Versions, configuration, the last logs and what the doctor says go into TARGET; no picture, map or cloud does."""
@@ -203,10 +202,6 @@ def report(session: Session, target: Path, with_bench: bool) -> None:
         "doctor.json": as_text(plain(list(examine(config, lambda: _status(session), _key_facts(session))))),
         "logs.txt": last_logs(),
     }
-    if with_bench:
-        from process.bench.fold import bench_fold
-
-        texts["bench.json"] = as_text(plain(bench_fold((768, 1024), 100)))
     homes = [str(Path.home())]
     pack(target, {name: without_home(text, homes) for name, text in texts.items()})
     click.echo(f"{target}: {', '.join(texts)}; look through it before you send it")

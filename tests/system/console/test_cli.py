@@ -16,7 +16,7 @@ from tests.fakes.fake_daemon import FakeDaemon
 
 SUBCOMMANDS = [
     *("daemon", "writer", "worker", "viewer", "console", "up", "demo"),
-    *("import", "reconstruct", "verify", "info", "config", "bench", "version"),
+    *("import", "reconstruct", "verify", "info", "config", "version"),
     *("status", "scan", "estimate", "pause", "resume", "stop", "goto", "jog", "home", "zero"),
     *("lamp", "camera", "prescan", "control"),
 ]

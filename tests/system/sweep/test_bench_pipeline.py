@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from acquire.bench import pipeline as bench
-from acquire.bench import publisher as bench_publisher
 from acquire.contract.errors import NoServiceError
+from tests.bench import pipeline as bench
+from tests.bench import publisher as bench_publisher
 
 
 def test_a_small_sweep_gets_through_writer_and_worker() -> None:

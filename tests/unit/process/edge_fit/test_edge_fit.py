@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from process.bench.edge_fit import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
 from process.crossings.quality import Quality
 from process.edge_fit import refine as refining
 from process.edge_fit.cramer_rao import crossing_bound
@@ -18,6 +17,7 @@ from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import measure_noise, refine, starts
 from process.edge_fit.weighting import Sequence
 from process.fold.fold import Fold
+from tests.bench.estimates import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
 
 NOISE = 2.0
 

@@ -1,6 +1,6 @@
-"""Owns the measurement of the estimates against the Cramer-Rao bound, on edges made here, and of their speed.
+"""Measures the crossing estimates against the Cramer-Rao bound, on synthetic edges, and their speed.
 
-Edges go through the fold and the whole way of a scan: mask, crossing, measured noise, fit, filters.
+Edges pass all steps of a scan: fold, mask, crossing, measured noise, fit, filters.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Measures what the page sends: 2 million points to one browser, or a demonstration sweep from its first second on.
 
-``python -m tests.page_bench`` and ``python -m tests.page_bench demo``. The browser is one that reads and draws nothing.
+The browser reads and draws nothing.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from tests.system.viewer.test_connection import Browser, serving
 
 TILES_AT_ONCE = 24
 GIVE_UP_S = 120.0
+LINK_BYTES_PER_S = (16e6, 1e6)
 
 
-def many_points(bound_bytes_per_s: float) -> str:
+def bench_points(bound_bytes_per_s: float) -> str:
     """Seconds to an overview and to all of 2 million points, at a bound on the bytes per second."""
     tiles = hill_tiles(16, 12, 102)
     total = sum(header.count for header, _ in tiles)
@@ -48,7 +49,7 @@ def many_points(bound_bytes_per_s: float) -> str:
     )
 
 
-def demo() -> None:
+def bench_demo() -> None:
     """Bytes of each second of a demonstration, and when the first points came."""
     begin = time.monotonic()
     command = [sys.executable, "-m", "tui.cli", "demo"]
@@ -99,11 +100,3 @@ def _viewer_at(url: str) -> Any:
     port, token = urlsplit(url).port or 0, parse_qs(urlsplit(url).query)["token"][0]
     _, headers = request(port, f"/?token={token}")
     return SimpleNamespace(port=port, cookie=lambda: headers["set-cookie"].partition(";")[0])
-
-
-if __name__ == "__main__":
-    if sys.argv[1:] == ["demo"]:
-        demo()
-    else:
-        for bound in (16e6, 1e6):
-            print(many_points(bound))

@@ -1,4 +1,4 @@
-"""`sweepscope bench console`: from key to effect, processor time, STOP on a stuck line, echoes on a slow one."""
+"""Measures the console: key to effect, processor time, STOP on a stuck terminal, echoes on a slow one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.lanes import Sender, bind, receive
 from acquire.contract.messaging.messages import Command, Picture, Reply, Status
 from acquire.contract.states import State
-from tui.bench.terminal import BareLine, Tmux
+from tests.bench.terminal import BareLine, Tmux
 from tui.client.follow import has_ended
 from tui.client.rig_client import ProgressFeed, RigClient, somebody_listens
 from tui.console.state.jog import STEP_SIZES

@@ -17,7 +17,7 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from .publisher import Marks, Publisher
+from tests.bench.publisher import Marks, Publisher
 
 FRAMES_BYTES: Final = 600_000_000
 """Memory for frames made beforehand; a sweep that needs more repeats each of its frames."""
@@ -32,7 +32,7 @@ def bench_pipeline(
     Args:
         frames: length of the sweep, at least 2.
         shape: (height, width) of its 8-bit frames.
-        pictures: somebody looks at the preview lane meanwhile, as a console does.
+        pictures: a subscriber takes preview pictures meanwhile, as a console does.
 
     Returns:
         frames per second until all are committed and folded, as ``ratio`` to memcpy over the same frames in the same

@@ -1,4 +1,4 @@
-"""Own the measurement of the fold against memcpy, both over the same stream of distinct frames."""
+"""Measures the fold against memcpy, both over the same stream of distinct frames."""
 
 from __future__ import annotations
 
