@@ -20,11 +20,11 @@ from zmq.auth.thread import ThreadAuthenticator
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.config.model import NetworkConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError
-from acquire.contract.messaging.lanes import MAX_COMMAND_BYTES, open_socket
+from acquire.contract.messaging.lanes import MAX_COMMAND_BYTES, connect, open_socket
 from acquire.contract.messaging.messages import Command
 from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.process.notify import Notifier
-from acquire.contract.process.run_dir import endpoint, lock_service, prepare_run_dir
+from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 
 from .addresses import ASKED, OFFERED, SPOKEN, Address
 from .keys import ALLOWED_NAME, SERVER_KEY_NAME, Allowed, KeyPair, load_allowed, load_pair, rig_folder, signature_of
@@ -187,13 +187,7 @@ class Gateway:
             time.sleep(0.02)
 
     def _back(self, kind: int, lane: str) -> zmq.Socket[Any]:
-        socket = open_socket(self._context, kind, lane)
-        socket.setsockopt(zmq.RECONNECT_IVL, 50)
-        socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
-        if kind == zmq.DEALER:
-            socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a daemon that is not there
-        socket.connect(endpoint(self._run_dir, lane))
-        return socket
+        return connect(self._context, kind, self._run_dir, lane, immediate=kind == zmq.DEALER)
 
 
 def secure_server(socket: zmq.Socket[Any], pair: KeyPair, domain: str) -> None:

@@ -18,11 +18,11 @@ import zmq
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import AlreadyRunningError, ProtocolError
 from acquire.contract.messaging.codec import ProtocolMismatchError
-from acquire.contract.messaging.lanes import Received, Sender, open_socket, receive
+from acquire.contract.messaging.lanes import Received, Sender, connect, receive
 from acquire.contract.messaging.messages import End, Hello, Image, Message, Nack, Start
 from acquire.contract.process.logs import follow_scan
 from acquire.contract.process.notify import Notifier
-from acquire.contract.process.run_dir import endpoint, lock_service, prepare_run_dir
+from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 from .disk_thread import DiskThread
@@ -48,7 +48,9 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
     keep_freed_memory()
     context: zmq.Context[Any] = zmq.Context()
     try:
-        service = WriterService(_connect(context, run_dir), config)
+        # nothing may pile up for a daemon that is away: what is said to it must be true when it hears it
+        socket = connect(context, zmq.DEALER, run_dir, "frames", immediate=True)
+        service = WriterService(socket, config)
         try:
             with _stopped_by_signals(service), _looking_after_the_interrupted(config.data_dir):
                 logger.info("ready (pid %d), looking for the daemon in %s", os.getpid(), run_dir)
@@ -58,16 +60,6 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
     finally:
         context.destroy(linger=0)
         lock.release()
-
-
-def _connect(context: zmq.Context[Any], run_dir: Path) -> zmq.Socket[Any]:
-    socket = open_socket(context, zmq.DEALER, "frames")
-    # nothing may pile up for a daemon that is away: what is said to it must be true when it hears it
-    socket.setsockopt(zmq.IMMEDIATE, 1)
-    socket.setsockopt(zmq.RECONNECT_IVL, 50)
-    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
-    socket.connect(endpoint(run_dir, "frames"))
-    return socket
 
 
 @contextmanager

@@ -316,7 +316,5 @@ def _connect_live(context: zmq.Context[Any], run_dir: Path, config: LoadedConfig
     socket = open_socket(context, zmq.SUB, "live")
     socket.setsockopt(zmq.RCVHWM, max(16, min(1024, LIVE_QUEUE_BYTES // (camera.width * camera.height * 3))))
     socket.setsockopt(zmq.SUBSCRIBE, b"")
-    socket.setsockopt(zmq.RECONNECT_IVL, 50)
-    socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
     socket.connect(endpoint(run_dir, "live"))
     return socket

@@ -18,10 +18,11 @@ import zmq
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.lanes import Sender, bind, receive
 from acquire.contract.messaging.messages import Command, Picture, Reply, Status
+from acquire.contract.process.run_dir import is_served
 from acquire.contract.states import State
 from tests.bench.terminal import BareLine, Tmux
 from tui.client.follow import has_ended
-from tui.client.rig_client import ProgressFeed, RigClient, somebody_listens
+from tui.client.rig_client import ProgressFeed, RigClient
 from tui.console.state.jog import STEP_SIZES
 from tui.demo.rig import DemoOptions, DemoRig
 
@@ -65,7 +66,7 @@ def _client(rig: DemoRig) -> Iterator[RigClient]:
     feed = ProgressFeed(rig.run_dir)
     end_s = time.monotonic() + READY_S
     try:
-        while not somebody_listens(rig.run_dir) or feed.newest() is None:
+        while not is_served(rig.run_dir) or feed.newest() is None:
             rig.check()
             if time.monotonic() > end_s:
                 raise SweepscopeError(f"the services were not ready within {READY_S:g} s")

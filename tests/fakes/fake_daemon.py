@@ -83,6 +83,8 @@ class FakeDaemon:
         self._pictures_sent = 0
         self.deaf = False
         self.silent = False
+        self.rubbish = b""
+        """Sent before each status if not empty."""
         self._frames_per_tick, self._expected = frames_per_tick, expected
         self._lock = threading.Lock()
         self._ending = threading.Event()
@@ -128,6 +130,8 @@ class FakeDaemon:
                 self._advance()
                 if self.silent:
                     continue
+                if self.rubbish:
+                    self._status.socket.send(self.rubbish)
                 self._status.send(self.status)
                 if self.progress is not None:
                     self._results.send(self.progress)

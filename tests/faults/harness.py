@@ -25,13 +25,14 @@ import psutil
 
 from acquire.contract.config.load import load_config
 from acquire.contract.messaging.messages import Status
+from acquire.contract.process.run_dir import is_served
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.scan_data.dataset_names import FrameStatus
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.simulation import Renderer, build_scene
 from tests import ROOT
 from tests.system.appliance import SMALL, Appliance
-from tui.client.rig_client import RigClient, somebody_listens
+from tui.client.rig_client import RigClient
 
 STEPS = 12
 COUNT = 1578 // STEPS + 1
@@ -129,7 +130,7 @@ class Rig(Appliance):
 
     def client(self) -> RigClient:
         """As the base; a service that only takes its time to start has not noticed anything."""
-        self.until(lambda: somebody_listens(self.run_dir), "the daemon binds", START_S)
+        self.until(lambda: is_served(self.run_dir), "the daemon binds", START_S)
         return RigClient(self.run_dir, timeout_s=30.0)
 
     def ready(self, client: RigClient) -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from acquire.contract.messaging.messages import Status
-from tui.client.rig_client import RigClient, somebody_listens
+from acquire.contract.process.run_dir import is_served
+from tui.client.rig_client import RigClient
 
 DEADLINE_S = 60.0
 SMALL = {
@@ -68,7 +69,7 @@ class Appliance:
 
     def client(self) -> RigClient:
         """A client, once the daemon answers."""
-        self.until(lambda: somebody_listens(self.run_dir), "the daemon binds")  # noqa: PLW0108
+        self.until(lambda: is_served(self.run_dir), "the daemon binds")  # noqa: PLW0108
         return RigClient(self.run_dir, timeout_s=30.0)
 
     def until(self, condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:

@@ -1,10 +1,8 @@
-"""Talks to the daemon: one reply or one error per request, and the newest status; owns its sockets."""
+"""Talks to the daemon and blocks until it has answered: one reply or one error per request, and the newest status."""
 
 from __future__ import annotations
 
-import socket
 import time
-import uuid
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -12,25 +10,17 @@ from typing import Any, Self
 
 import zmq
 
-from acquire.contract.errors import CommandRefusedError, NoServiceError, ProtocolError
-from acquire.contract.messaging.lanes import Sender, connect, receive
-from acquire.contract.messaging.messages import Command, Message, Reply, ResultEnd, ResultProgress, Status
+from acquire.contract.errors import CommandRefusedError, NoServiceError
+from acquire.contract.messaging.lanes import Sender, arrived, connect
+from acquire.contract.messaging.messages import Reply, ResultEnd, ResultProgress, Status
+from acquire.contract.process.run_dir import is_served
+from acquire.contract.rig_client.commands import CommandClient, CommandState, CommandUpdate, new_command
+from acquire.contract.rig_client.feed import RigFeed
 
-
-def somebody_listens(run_dir: Path, lane: str = "command") -> bool:
-    """True if a living process has the lane's socket bound (a socket file alone may be left from a dead one)."""
-    with socket.socket(socket.AF_UNIX) as probe:
-        try:
-            probe.connect(str(run_dir / f"{lane}.sock"))
-        except OSError:
-            return False
-    return True
-
-
-def new_request(name: str, args: dict[str, Any], client: str = "") -> Command:
-    """A command with a request id of its own; arguments that are None are left out."""
-    given = {key: value for key, value in args.items() if value is not None}
-    return Command(request_id=uuid.uuid4().hex, name=name, args=given, client=client)
+LOOK_MS = 50
+"""How often a request that waits for its reply looks at its deadlines."""
+MOST_AT_ONCE = 1000
+"""Messages taken in one turn; more of them stay in the socket."""
 
 
 class RigClient:
@@ -42,14 +32,18 @@ class RigClient:
         Raises:
             NoServiceError: nobody listens there.
         """
-        if not somebody_listens(run_dir):
-            raise _nobody(run_dir)
+        if not is_served(run_dir):
+            raise NoServiceError(
+                f"no rig daemon answers in {run_dir}: start one with 'sweepscope up', "
+                "or set SWEEPSCOPE_RUN to its directory"
+            )
         self.run_dir, self.client = run_dir, client
         self._timeout_s = timeout_s
         self._context = zmq.Context()
         self._socket = connect(self._context, zmq.DEALER, run_dir, "command")
         self._sender = Sender(self._socket)
-        self._status = connect(self._context, zmq.SUB, run_dir, "status")
+        self._feed = RigFeed(self._context, "status")
+        self._feed.connect(run_dir)
 
     def __enter__(self) -> Self:
         return self
@@ -70,38 +64,34 @@ class RigClient:
             NoServiceError: no reply in time.
             CommandRefusedError: the daemon says no, and why.
         """
-        command = new_request(name, args, self.client)
-        sent_mono_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-        for _attempt in range(2):
-            # the second sending is as old as the first: a daemon that was restarted must be able to find it too late
-            self._sender.send(command, sent_mono_ns=sent_mono_ns)
-            reply = self._reply_to(command.request_id, self._timeout_s / 2)
-            if reply is not None:
-                if not reply.ok:
-                    raise CommandRefusedError(f"{name} was refused: {reply.error}")
-                return reply
-        raise NoServiceError(
-            f"the rig daemon did not answer '{name}' within {self._timeout_s:g} s: whether it was done is not known; "
-            "see 'sweepscope status'"
-        )
-
-    def _reply_to(self, request_id: str, timeout_s: float) -> Reply | None:
-        deadline_s = time.monotonic() + timeout_s
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            message = _next_message(self._socket, left_s)
-            if isinstance(message, Reply) and message.request_id == request_id:
-                return message
-        return None
+        updates: list[CommandUpdate] = []
+        commands = CommandClient(updates.append, self._timeout_s)
+        commands.put(new_command(name, args, self.client))
+        commands.turn(self._sender)
+        while updates[-1].state is CommandState.SENT:
+            self._socket.poll(LOOK_MS)
+            for received in arrived(self._socket, MOST_AT_ONCE):
+                if isinstance(received.message, Reply):
+                    commands.take(received.message)
+            commands.turn(self._sender)
+        reply = updates[-1].reply
+        if reply is None:
+            raise NoServiceError(
+                f"the rig daemon did not answer '{name}' within {self._timeout_s:g} s: whether it was done is not "
+                "known; see 'sweepscope status'"
+            )
+        if not reply.ok:
+            raise CommandRefusedError(f"{name} was refused: {reply.error}")
+        return reply
 
     def newest_status(self, timeout_s: float) -> Status | None:
         """The newest status that has arrived, waiting up to ``timeout_s`` for one; None if none came."""
         newest: Status | None = None
         deadline_s = time.monotonic() + timeout_s
         while newest is None and (left_s := deadline_s - time.monotonic()) > 0:
-            message = _next_message(self._status, left_s)
-            while message is not None:
-                newest = message if isinstance(message, Status) else newest
-                message = _next_message(self._status, 0)
+            self._feed.sockets["status"].poll(round(1000 * left_s))
+            for received in self._feed.arrived("status", MOST_AT_ONCE):
+                newest = received.message if isinstance(received.message, Status) else newest
         return newest
 
     def status(self) -> Status:
@@ -133,7 +123,8 @@ class ProgressFeed:
 
     def __init__(self, run_dir: Path) -> None:
         self._context: zmq.Context[Any] = zmq.Context()
-        self._socket = connect(self._context, zmq.SUB, run_dir, "results")
+        self._feed = RigFeed(self._context, "results")
+        self._feed.connect(run_dir)
         self._newest: ResultProgress | None = None
         self._ends: dict[str, ResultEnd] = {}
 
@@ -144,31 +135,13 @@ class ProgressFeed:
 
     def newest(self) -> ResultProgress | None:
         """What was heard last; None if nothing was. Never waits."""
-        while self._socket.poll(0):
-            message = _next_message(self._socket, 0)
-            if isinstance(message, ResultProgress):
-                self._newest = message
-            elif isinstance(message, ResultEnd):
-                self._ends.setdefault(message.scan_uid, message)
+        for received in self._feed.arrived("results", MOST_AT_ONCE):
+            if isinstance(received.message, ResultProgress):
+                self._newest = received.message
+            elif isinstance(received.message, ResultEnd):
+                self._ends.setdefault(received.message.scan_uid, received.message)
         return self._newest
 
     def close(self) -> None:
         """Close the socket."""
         self._context.destroy(linger=0)
-
-
-def _next_message(source: zmq.Socket[Any], timeout_s: float) -> Message | None:
-    """The next readable message; unreadable ones are passed over (F20: they never stop a client)."""
-    if not source.poll(max(0, int(timeout_s * 1000))):
-        return None
-    try:
-        received = receive(source)
-    except ProtocolError:
-        return None
-    return received.message if received is not None else None
-
-
-def _nobody(run_dir: Path) -> NoServiceError:
-    return NoServiceError(
-        f"no rig daemon answers in {run_dir}: start one with 'sweepscope up', or set SWEEPSCOPE_RUN to its directory"
-    )

@@ -1,7 +1,7 @@
 """The console: a client of the daemon that shows the rig and steers it; its end never touches a sweep.
 
 It is long because Textual hands all news, keys and actions to this one object. What can be decided without it stands
-elsewhere: what news means (`narration`, `fault_book`), STOP (`stopping`), jobs (`job_desk`), commands (`errands`), the
+elsewhere: what news means (`narration`, `fault_book`), STOP (`stopping`), jobs (`job_desk`), commands (`link`), the
 terminal's link (`driver`), and what each screen can do.
 """
 
@@ -29,13 +29,13 @@ from tui.console.link.messages import (
     JobChanged,
     LinkChanged,
     MapsArrived,
-    News,
     Note,
     PageKnown,
     PictureArrived,
     ProgressArrived,
     ResultsOnDisk,
     StatusArrived,
+    Updates,
 )
 from tui.console.link.rig_view import RigView
 from tui.console.options import ConsoleOptions, Link, LinkMaker, OnAnswer
@@ -186,8 +186,8 @@ class ConsoleApp(App[None]):
 
     # ---- news ----
 
-    def on_news(self, message: News) -> None:
-        """Everything that came since the last time, in one go."""
+    def on_updates(self, message: Updates) -> None:
+        """Everything that came since the last bundle, in one go."""
         message.taken()
         with self.batch_update():
             for part in message.parts:

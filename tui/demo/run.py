@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 from acquire.contract.errors import EXIT_FAILED, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
+from acquire.contract.process.run_dir import is_served
 from acquire.contract.states import State
 from tui.client.follow import Narrator, follow_scan
-from tui.client.rig_client import ProgressFeed, RigClient, somebody_listens
+from tui.client.rig_client import ProgressFeed, RigClient
 from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
 from tui.demo.report import Verdict, is_final, read_report
 from tui.demo.rig import DemoOptions, DemoRig
@@ -80,7 +81,7 @@ class Demonstration:
         """Wait until every service is there; the client of the daemon."""
         run_dir = self._rig.run_dir
         self._say(f"starting {', '.join(SERVICES)}")
-        self._await(lambda: somebody_listens(run_dir), READY_S, "the daemon did not come up")
+        self._await(lambda: is_served(run_dir), READY_S, "the daemon did not come up")
         # it listens at once, but speaks only when its kernels are compiled: then it misses no frame
         self._await(lambda: self.feed.newest() is not None, READY_S, "the worker did not come up")
         self._await(lambda: bool(read_url(run_dir)), READY_S, "the viewer did not come up")

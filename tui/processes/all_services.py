@@ -13,7 +13,7 @@ from types import FrameType
 
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import EXIT_FAILED, AlreadyRunningError
-from tui.client.rig_client import somebody_listens
+from acquire.contract.process.run_dir import is_served
 from tui.processes.supervisor import POLL_S, ServiceSpec, Supervisor, own_command
 
 SERVICES = ("daemon", "writer", "worker", "viewer")
@@ -112,7 +112,7 @@ def child_environment(run_dir: Path, environ: Mapping[str, str] = os.environ) ->
 
 
 def _refuse_a_second(run_dir: Path) -> None:
-    if somebody_listens(run_dir):
+    if is_served(run_dir):
         raise AlreadyRunningError(f"a daemon already runs in {run_dir}: stop it first, or set SWEEPSCOPE_RUN")
 
 

@@ -31,12 +31,18 @@ LIVE_MARK = 16
 """Frames that may wait for a subscriber of the live lane; they are the daemon's memory."""
 _MARKS = {"frames": 100_000, "live": LIVE_MARK, "results": 64, "status": 16, "command": 256, "preview": 2}
 """High-water marks in messages; that of the frames lane lies far above any window and never decides."""
+RECONNECT_MS = 50
+RECONNECT_MAX_MS = 500
+"""First and longest wait before a socket tries again to reach a service that is away."""
 
 
 def open_socket(context: zmq.Context[Any], kind: int, lane: str) -> zmq.Socket[Any]:
     """An unconnected socket with the lane's bounds; LINGER 0 so that no process hangs on its way out."""
     socket: zmq.Socket[Any] = context.socket(kind)
     socket.setsockopt(zmq.LINGER, 0)
+    if kind in (zmq.SUB, zmq.XSUB, zmq.DEALER):
+        socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        socket.setsockopt(zmq.RECONNECT_IVL_MAX, RECONNECT_MAX_MS)
     socket.setsockopt(zmq.MAXMSGSIZE, _MAX_BYTES[lane])
     socket.setsockopt(zmq.SNDHWM, _MARKS[lane])
     socket.setsockopt(zmq.RCVHWM, _MARKS[lane])
@@ -52,14 +58,17 @@ def bind(context: zmq.Context[Any], kind: int, run_dir: Path, lane: str) -> zmq.
     return socket
 
 
-def connect(context: zmq.Context[Any], kind: int, run_dir: Path, lane: str) -> zmq.Socket[Any]:
-    """A socket connected to the lane's endpoint (which may not exist yet); SUB sockets subscribe to all."""
+def connect(
+    context: zmq.Context[Any], kind: int, run_dir: Path, lane: str, *, immediate: bool = False
+) -> zmq.Socket[Any]:
+    """A socket connected to the lane's endpoint (which may not exist yet); SUB sockets subscribe to all.
+
+    ``immediate``: nothing is queued for a peer that is not there; sending fails instead.
+    """
     socket = open_socket(context, kind, lane)
     if kind == zmq.SUB:
         socket.setsockopt(zmq.SUBSCRIBE, b"")
-    if kind in (zmq.SUB, zmq.DEALER):
-        socket.setsockopt(zmq.RECONNECT_IVL, 50)
-        socket.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
+    socket.setsockopt(zmq.IMMEDIATE, immediate)
     socket.connect(endpoint(run_dir, lane))
     return socket
 
@@ -122,6 +131,11 @@ class Received:
     message: Message
     payload: zmq.Frame | None = None
     routing_id: bytes | None = None
+
+    @property
+    def buffer(self) -> bytes | memoryview:
+        """The payload, not copied; empty if there is none."""
+        return self.payload.buffer if self.payload is not None else b""
 
 
 def receive(socket: zmq.Socket[Any]) -> Received | None:

@@ -38,17 +38,17 @@ def client_run_dir(environ: Mapping[str, str] = os.environ) -> Path:
         xdg = environ.get("XDG_RUNTIME_DIR")
         candidates = ([Path(xdg) / "sweepscope"] if xdg else []) + [SYSTEM_RUN]
     for candidate in candidates:
-        if _answers(candidate / "command.sock"):
+        if is_served(candidate):
             return candidate
     places = " or ".join(str(candidate) for candidate in candidates)
     raise NoServiceError(f"no rig daemon answers in {places}: start one with 'sweepscope up' or set SWEEPSCOPE_RUN")
 
 
-def _answers(path: Path) -> bool:
-    """True if a process listens on the Unix socket; a file that its owner left behind does not count."""
+def is_served(run_dir: Path, lane: str = "command") -> bool:
+    """True if a living process has bound the lane's socket; a file that a dead one left behind does not count."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
-            probe.connect(str(path))
+            probe.connect(str(run_dir / f"{lane}.sock"))
         except OSError:
             return False
     return True

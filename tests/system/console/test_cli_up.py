@@ -15,9 +15,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from acquire.contract.process.run_dir import is_served
 from acquire.contract.states import State
 from tests import ROOT
-from tui.client.rig_client import RigClient, somebody_listens
+from tui.client.rig_client import RigClient
 
 SERVICES = {"daemon", "writer", "worker", "viewer"}
 RIG = """
@@ -69,7 +70,7 @@ class Up:
 
     def ready(self) -> bool:
         assert self.process.poll() is None, self.log.read_text()
-        lanes = somebody_listens(self.run_dir) and somebody_listens(self.run_dir, "results")
+        lanes = is_served(self.run_dir) and is_served(self.run_dir, "results")
         return lanes and (self.run_dir / "viewer.url").exists() and set(services_of(self.process.pid)) == SERVICES
 
     def end(self) -> None:

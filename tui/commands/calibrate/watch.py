@@ -112,12 +112,12 @@ class Views:
 def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
     import time
 
-    import numpy as np
     import zmq
 
     from acquire.contract.messaging.lanes import arrived, connect
     from acquire.contract.messaging.messages import Picture
     from acquire.contract.process.run_dir import client_run_dir
+    from acquire.contract.rig_client.feed import picture_pixels
     from process.calibration.board.guidance import look
 
     context: zmq.Context[Any] = zmq.Context()
@@ -130,9 +130,8 @@ def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
             for newest in arrived(socket, MOST_AT_ONCE):  # noqa: B007 - the last one is wanted
                 pass
             live = None
-            if newest is not None and isinstance(newest.message, Picture) and newest.payload is not None:
-                pixels = np.frombuffer(newest.payload.buffer, np.uint8).reshape(newest.message.shape)
-                live = look("live", pixels, board)
+            if newest is not None and isinstance(newest.message, Picture):
+                live = look("live", picture_pixels(newest.message, newest.buffer), board)
             if live is not None or changed:
                 say(collected.facts(live))
             time.sleep(PAUSE_S)

@@ -14,8 +14,8 @@ from tui.processes.child_jobs import Job
 
 
 @dataclass
-class News(Message):
-    """Everything that came since the last time, the newest of each kind; no more is told until this is ``taken``."""
+class Updates(Message):
+    """Everything that came since the last bundle; no more is posted until this one is ``taken``."""
 
     parts: list[Message]
     taken: Callable[[], None]
@@ -84,7 +84,7 @@ class CommandAnswered(Message):
     at_mono_ns: int = 0
     """CLOCK_MONOTONIC when the daemon answered, or when the answer was given up."""
     request_id: str = ""
-    """As :meth:`tui.console.app.Link.send` returned it."""
+    """As :meth:`tui.console.options.Link.send` returned it."""
     result: dict[str, Any] = field(default_factory=dict)
     """What the reply carried."""
 

@@ -1,4 +1,7 @@
-"""The console's one input thread: owns its sockets, survives any absence of the daemon, and never blocks the screen."""
+"""The console's input thread: feeds the screen with the rig's state and carries its commands.
+
+It survives any absence of the daemon and never blocks the screen.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,13 @@ import zmq
 from textual.message import Message as UiMessage
 
 from acquire.contract.errors import NoServiceError, ProtocolError, SweepscopeError
-from acquire.contract.messaging.lanes import Received, Sender, arrived, connect, open_socket
-from acquire.contract.messaging.messages import Message, Picture, Reply, ResultEnd, ResultMaps, ResultProgress, Status
-from acquire.contract.process.run_dir import client_run_dir, endpoint
-from tui.client.rig_client import new_request
+from acquire.contract.messaging.lanes import Received, Sender, arrived, connect
+from acquire.contract.messaging.messages import Picture, Reply, ResultEnd, ResultMaps, ResultProgress, Status
+from acquire.contract.process.run_dir import client_run_dir
+from acquire.contract.rig_client.commands import RETRY_MS, CommandClient, CommandState, CommandUpdate, new_command
+from acquire.contract.rig_client.feed import RigFeed
 from tui.console.link.messages import (
+    CommandAnswered,
     LinkChanged,
     MapsArrived,
     PageKnown,
@@ -27,9 +32,8 @@ from tui.console.link.messages import (
     ResultsOnDisk,
     StatusArrived,
 )
-from tui.console.link.requests import Errands
 from tui.console.link.rig_view import MapsView, PictureView
-from tui.console.link.update_queue import NewsDesk
+from tui.console.link.update_queue import UpdateQueue
 from tui.processes.all_services import read_url
 
 AWAY_S = 1.5
@@ -39,6 +43,10 @@ LOOK_S = 1.0
 POLL_MS = 100
 MOST_AT_ONCE = 10_000
 """Messages of one lane that are taken in one turn."""
+_NOT_SENT = {
+    CommandState.NO_DAEMON: "not sent: the rig daemon is not connected",
+    CommandState.STALE: "not sent in time: this console was held up; nothing has moved",
+}
 
 
 class RigLink:
@@ -60,8 +68,9 @@ class RigLink:
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="rig-link", daemon=True)
-        self._news = NewsDesk(post, self._wake_up)
-        self._errands = Errands(self._news.tell, command_timeout_s)
+        self._updates = UpdateQueue(post, self._wake_up)
+        self._command_timeout_s = command_timeout_s
+        self._commands = CommandClient(self._tell_end, command_timeout_s)
         self._state: tuple[str, str] = ("", "")
         self._pictures_wanted = threading.Event()
         self._heard_at_s: float | None = None
@@ -83,8 +92,8 @@ class RigLink:
 
     def send(self, name: str, /, **args: Any) -> str:
         """Send a command; its fate arrives as :class:`CommandAnswered`. Safe from any thread, never blocks."""
-        command = new_request(name, args, self._client)
-        self._errands.put(command)
+        command = new_command(name, args, self._client)
+        self._commands.put(command)
         os.eventfd_write(self._wake, 1)
         return command.request_id
 
@@ -107,9 +116,13 @@ class RigLink:
             if run_dir is not None:
                 self._listen(run_dir)
             else:
-                self._errands.refuse()
-                self._news.paint()
-                self._ending.wait(LOOK_S)
+                self._wait_without_daemon()
+
+    def _wait_without_daemon(self) -> None:
+        """Refuse what is asked meanwhile, look again later."""
+        self._commands.turn(None)
+        self._updates.paint()
+        self._ending.wait(LOOK_S)
 
     def _find(self) -> Path | None:
         if self._run_dir is not None:
@@ -123,13 +136,11 @@ class RigLink:
     def _listen(self, run_dir: Path) -> None:
         context: zmq.Context[Any] = zmq.Context()
         try:
-            sockets = _Sockets(context, run_dir)
+            sockets = _Sockets(context, run_dir, self._wake)
         except SweepscopeError as error:
             context.destroy(linger=0)
             self._set_connected(False, str(error))
-            self._errands.refuse()
-            self._news.paint()
-            self._ending.wait(LOOK_S)
+            self._wait_without_daemon()
             return
         self._heard_at_s = None
         listening_since_s = time.monotonic()
@@ -144,40 +155,48 @@ class RigLink:
             context.destroy(linger=0)
 
     def _turn(self, sockets: _Sockets) -> None:
-        ready = dict(sockets.poll(self._wake))
-        if self._wake in ready:
-            with suppress(BlockingIOError):
-                os.eventfd_read(self._wake)
-        sockets.listen_to_pictures(self._pictures_wanted.is_set())
-        for socket in (sockets.command, sockets.status, sockets.results, sockets.preview):
-            if socket in ready:
-                self._take_all(list(arrived(socket, MOST_AT_ONCE)))
-        self._errands.send(sockets.sender, connected=bool(self._connected))
-        self._errands.chase(sockets.sender)
-        self._news.paint()
+        sockets.wait(RETRY_MS if self._commands.connecting else POLL_MS)
+        with suppress(BlockingIOError):
+            os.eventfd_read(self._wake)
+        sockets.feed.want_pictures(self._pictures_wanted.is_set())
+        for received in arrived(sockets.command, MOST_AT_ONCE):
+            if isinstance(received.message, Reply):
+                self._commands.take(received.message)
+        for lane in sockets.feed.sockets:
+            for received in sockets.feed.arrived(lane, MOST_AT_ONCE):
+                with suppress(ProtocolError):  # pixels or maps that do not fit their header
+                    self._take(received)
+        self._commands.turn(sockets.sender, connected=bool(self._connected))
+        self._updates.paint()
 
-    def _take_all(self, waiting: list[Received]) -> None:
-        pictures = [received for received in waiting if isinstance(received.message, Picture)]
-        maps = [received for received in waiting if isinstance(received.message, ResultMaps)]
-        for received in waiting:
-            self._take(received.message)
-        with suppress(ProtocolError):
-            if pictures and pictures[-1].payload is not None:
-                self._news.show("picture", PictureArrived(_picture(pictures[-1])))
-            if maps and maps[-1].payload is not None:
-                self._news.show("maps", MapsArrived(_maps(maps[-1])))
-
-    def _take(self, message: Message) -> None:
+    def _take(self, received: Received) -> None:
+        message = received.message
         if isinstance(message, Status):
             self._heard_at_s = time.monotonic()
             before, self._state = self._state, (message.state, message.hold_reason)
-            self._news.show("status", StatusArrived(message), urgent=self._state != before)
+            self._updates.show("status", StatusArrived(message), urgent=self._state != before)
         elif isinstance(message, ResultProgress):
-            self._news.show("progress", ProgressArrived(message))
+            self._updates.show("progress", ProgressArrived(message))
         elif isinstance(message, ResultEnd):
-            self._news.tell(ResultsOnDisk(message))
-        elif isinstance(message, Reply):
-            self._errands.answered(message)
+            self._updates.tell(ResultsOnDisk(message))
+        elif isinstance(message, Picture):
+            self._updates.show("picture", PictureArrived(PictureView.of(message, received.buffer)))
+        elif isinstance(message, ResultMaps):
+            self._updates.show("maps", MapsArrived(MapsView.of(message, received.buffer)))
+
+    def _tell_end(self, update: CommandUpdate) -> None:
+        """Tell the screen how a command ended; that it was sent is no news."""
+        if update.state is CommandState.SENT:
+            return
+        command, reply = update.command, update.reply
+        if reply is not None:
+            detail = str(reply.result.get("path", "")) if reply.ok else reply.error
+        elif update.state is CommandState.NO_ANSWER:
+            detail = f"no answer within {self._command_timeout_s:g} s: whether it was done is not known"
+        else:
+            detail = _NOT_SENT[update.state]
+        ok, result = (reply.ok, dict(reply.result)) if reply is not None else (False, {})
+        self._updates.tell(CommandAnswered(command.name, ok, detail, update.at_mono_ns, command.request_id, result))
 
     def _judge_link(self, run_dir: Path, listening_since_s: float) -> bool:
         now_s = time.monotonic()
@@ -192,8 +211,8 @@ class RigLink:
     def _set_connected(self, connected: bool, detail: str) -> None:
         if connected != self._connected:
             self._connected = connected
-            self._news.tell(LinkChanged(connected, detail))
-            self._news.paint()
+            self._updates.tell(LinkChanged(connected, detail))
+            self._updates.paint()
 
     def _moved(self, run_dir: Path) -> bool:
         try:
@@ -209,46 +228,21 @@ class RigLink:
         url = read_url(run_dir)
         if url != self._url:
             self._url = url
-            self._news.tell(PageKnown(url))
+            self._updates.tell(PageKnown(url))
 
 
 class _Sockets:
     """The lanes of a console."""
 
-    def __init__(self, context: zmq.Context[Any], run_dir: Path) -> None:
-        self.status = connect(context, zmq.SUB, run_dir, "status")
-        self.results = connect(context, zmq.SUB, run_dir, "results")
-        self.preview = open_socket(context, zmq.SUB, "preview")
-        self.preview.setsockopt(zmq.RECONNECT_IVL, 50)
-        self.preview.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
-        self.preview.connect(endpoint(run_dir, "preview"))
-        self._listening = False
-        self.command = open_socket(context, zmq.DEALER, "command")
-        self.command.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a daemon that is not there
-        self.command.setsockopt(zmq.RECONNECT_IVL, 50)
-        self.command.setsockopt(zmq.RECONNECT_IVL_MAX, 500)
-        self.command.connect(endpoint(run_dir, "command"))
+    def __init__(self, context: zmq.Context[Any], run_dir: Path, wake: int) -> None:
+        self.feed = RigFeed(context)
+        self.feed.connect(run_dir)
+        self.command = connect(context, zmq.DEALER, run_dir, "command", immediate=True)
         self.sender = Sender(self.command)
+        self._poller = zmq.Poller()
+        for source in (wake, self.command, *self.feed.sockets.values()):
+            self._poller.register(source, zmq.POLLIN)
 
-    def listen_to_pictures(self, wanted: bool) -> None:
-        """Subscribe to pictures, or no longer: the daemon makes none for nobody."""
-        if wanted != self._listening:
-            self._listening = wanted
-            self.preview.setsockopt(zmq.SUBSCRIBE if wanted else zmq.UNSUBSCRIBE, b"")
-
-    def poll(self, wake: int) -> list[tuple[Any, int]]:
-        """What is readable now, waiting a little."""
-        poller = zmq.Poller()
-        for source in (wake, self.status, self.results, self.preview, self.command):
-            poller.register(source, zmq.POLLIN)
-        return poller.poll(POLL_MS)
-
-
-def _picture(received: Received) -> PictureView:
-    assert isinstance(received.message, Picture) and received.payload is not None
-    return PictureView.of(received.message, received.payload.bytes)
-
-
-def _maps(received: Received) -> MapsView:
-    assert isinstance(received.message, ResultMaps) and received.payload is not None
-    return MapsView.of(received.message, received.payload.bytes)
+    def wait(self, timeout_ms: int) -> None:
+        """Wait for a message, or for ``wake``."""
+        self._poller.poll(timeout_ms)

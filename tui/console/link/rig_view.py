@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messaging.messages import Picture, ResultEnd, ResultMaps, ResultProgress, Status
+from acquire.contract.rig_client.feed import picture_pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +25,9 @@ class PictureView:
         """The picture of a message's two parts.
 
         Raises:
-            ProtocolError: the pixels are not as many as the shape says.
+            ProtocolError: as :func:`picture_pixels`.
         """
-        if len(payload) != int(np.prod(header.shape)) or (len(header.shape) == 3 and header.shape[2] != 3):
-            raise ProtocolError(f"a picture of shape {header.shape} with {len(payload)} bytes")
-        return cls(header, np.frombuffer(payload, np.uint8).reshape(header.shape))
+        return cls(header, picture_pixels(header, payload))
 
 
 @dataclass(frozen=True, eq=False)

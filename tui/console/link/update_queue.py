@@ -1,6 +1,6 @@
-"""Hands news to the screen in bundles, the next only when the last was taken: a slow terminal is never flooded.
+"""Hands updates to the screen in bundles, the next only when the last was taken: a slow terminal is never flooded.
 
-Of what is only worth seeing when it is new (state, pictures, maps) the newest waits; lines of news wait all, in order.
+Of states, pictures and maps only the newest waits; everything else waits in its order.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Any
 
 from textual.message import Message as UiMessage
 
-from tui.console.link.messages import News
+from tui.console.link.messages import Updates
 
 PAINT_S = 0.1
-"""The screen is told at most so often; what came between is passed over for the newest. A new state is told at once."""
+"""Least time between two bundles; of what came between, the newest is shown. A new state does not wait."""
 MAX_TOLD = 1000
-"""Lines of news that are kept while the screen takes none; older ones go."""
+"""Messages that are kept while the screen takes none; older ones are dropped."""
 
 
-class NewsDesk:
-    """Belongs to one thread; only the screen's taking comes from another."""
+class UpdateQueue:
+    """Belongs to one thread; only ``taken`` is called from the screen's."""
 
     def __init__(self, post: Callable[[UiMessage], Any], wake: Callable[[], None]) -> None:
-        """``post`` must be safe to call from any thread; ``wake`` is called from the screen's when it has taken."""
+        """``post`` may be called from any thread; ``wake`` is called from the screen's when a bundle was taken."""
         self._post, self._wake = post, wake
         self._newest: dict[str, UiMessage] = {}
         self._told: deque[UiMessage] = deque(maxlen=MAX_TOLD)
@@ -34,16 +34,16 @@ class NewsDesk:
         self._painted_at_s = 0.0
 
     def tell(self, message: UiMessage) -> None:
-        """A line of news."""
+        """One more message, after those before it."""
         self._told.append(message)
 
     def show(self, kind: str, message: UiMessage, *, urgent: bool = False) -> None:
-        """The newest of its kind; an urgent one does not wait for its turn."""
+        """The newest of its kind replaces the one before; an urgent one does not wait for ``PAINT_S``."""
         self._newest[kind] = message
         self._urgent |= urgent
 
     def paint(self) -> None:
-        """Tell the screen what is new, unless it still has not taken what it was told last: then the newest waits."""
+        """Post what is new as one bundle, unless the screen has not taken the last one yet."""
         now_s = time.monotonic()
         due = bool(self._newest) and (self._urgent or now_s - self._painted_at_s >= PAINT_S)
         if self._unseen.is_set() or not (due or self._told):
@@ -55,7 +55,7 @@ class NewsDesk:
             parts += self._newest.values()
             self._newest.clear()
         self._unseen.set()
-        self._post(News(parts, self._taken))
+        self._post(Updates(parts, self._taken))
 
     def _taken(self) -> None:
         self._unseen.clear()

@@ -14,9 +14,7 @@ from textual.message import Message
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
-from tui.client.rig_client import new_request
-from tui.console.link.messages import CommandAnswered, LinkChanged, News, PageKnown, ProgressArrived, StatusArrived
-from tui.console.link.requests import Errands
+from tui.console.link.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, StatusArrived, Updates
 from tui.console.link.rig_link import AWAY_S, RigLink
 
 
@@ -28,7 +26,7 @@ class Ear:
         self._news = threading.Condition()
 
     def __call__(self, message: Message) -> None:
-        assert isinstance(message, News)
+        assert isinstance(message, Updates)
         with self._news:
             self.heard += message.parts
             self._news.notify_all()
@@ -138,20 +136,6 @@ def test_a_deaf_daemon_is_asked_twice_and_then_given_up(run_dir):
         assert not answer.ok and "whether it was done is not known" in answer.detail
         first, second = daemon.sent_mono_ns
         assert first == second > 0, "a restarted daemon could not tell that it is late"
-
-
-def test_a_command_without_an_answer_is_given_up_when_there_is_no_daemon_any_more():
-    class Line:
-        def send(self, command, *, sent_mono_ns):
-            return True
-
-    told: list[CommandAnswered] = []
-    errands = Errands(told.append, timeout_s=0.0)
-    errands.put(new_request("goto", {"position_steps": 3}))
-    errands.send(Line(), connected=True)
-    assert told == []
-    errands.refuse()
-    assert [answer.name for answer in told] == ["goto"] and "not known" in told[0].detail
 
 
 def test_the_address_of_the_page_is_found_and_its_loss_is_told(run_dir):
