@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from acquire.cameras.protocol import CameraFrame, CameraGone, what_is_wrong
-from acquire.contract.errors import CommandRefusedError, SweepscopeError
+from acquire.contract.errors import SweepscopeError
 from acquire.contract.faults import report
 from acquire.contract.messaging.messages import Proposal
 from acquire.contract.states import TRANSITIONS, State
@@ -242,9 +242,3 @@ class Interlude:
         if state is not current and state not in TRANSITIONS[current]:
             self._daemon.enter(State.IDLE)
         self._daemon.enter(state)
-
-
-def refuse_while_busy(interlude: Interlude, what: str) -> None:
-    """Raise CommandRefusedError where an activity runs."""
-    if interlude.activity is not None:
-        raise CommandRefusedError(f"cannot {what}: {interlude.activity.name} is running; wait, or stop it")

@@ -1,8 +1,9 @@
-"""The table of rig states and of the transitions between them; an illegal transition raises."""
+"""The table of rig states, of their signs, and of the transitions between them; an illegal transition raises."""
 
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class State(StrEnum):
@@ -18,6 +19,37 @@ class State(StrEnum):
     HOLDING = "holding"
     FINISHING = "finishing"
     FAULT = "fault"
+
+
+RUNNING_STATES = frozenset({State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING})
+"""States in which a scan is under way."""
+
+
+class Sign(NamedTuple):
+    """How a state looks on every screen; a word always stands beside it, so that nothing rests on font or colour."""
+
+    glyph: str
+    ascii_glyph: str
+
+
+SIGNS: dict[str, Sign] = {
+    State.DISCONNECTED: Sign("○", "o"),
+    State.IDLE: Sign("●", "*"),
+    State.HOMING: Sign("⌂", "H"),
+    State.MOVING: Sign("↔", "M"),
+    State.PREVIEW: Sign("◉", "P"),
+    State.ARMED: Sign("◆", "A"),
+    State.SWEEPING: Sign("▶", ">"),
+    State.HOLDING: Sign("‖", "="),
+    State.FINISHING: Sign("◢", "F"),
+    State.FAULT: Sign("✖", "X"),
+}
+UNKNOWN_SIGN = Sign("?", "?")
+
+
+def sign_of(state: str) -> Sign:
+    """The sign of a state; that of the unknown for a state of a newer daemon."""
+    return SIGNS.get(state, UNKNOWN_SIGN)
 
 
 class HoldReason(StrEnum):

@@ -125,6 +125,7 @@ class Board:
         rate_hz = self._rate.update(committed, now_ns)
         return msgspec.structs.replace(
             facts,
+            state=sweep.state,
             scan_uid=scan.prepared.start.scan_uid,
             scan_path=str(scan.prepared.folder),
             plan=scan.prepared.start.plan,

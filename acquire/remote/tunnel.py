@@ -23,6 +23,7 @@ from acquire.contract.errors import CommandRefusedError, NoServiceError, Protoco
 from acquire.contract.messaging.codec import decode_as, encode
 from acquire.contract.messaging.lanes import bind, open_socket
 from acquire.contract.messaging.messages import Command, Status
+from acquire.contract.permissions import never_late
 
 from .addresses import ASKED, SPOKEN, Address
 from .gateway import keep_alive
@@ -32,7 +33,6 @@ from .relay import Ends, Relay
 POLL_MS = 50
 PROOF = 3
 """Handshakes that were cut off in a row until we believe that the key is wrong."""
-TIMELESS = ("stop", "status")
 _REFUSED = "the rig does not know this key: 'sweepscope keys allow NAME KEY' at the rig lets it in"
 _FAILED = "the rig cannot read what we say: is --server-key the key of this rig ('sweepscope keys list' there)?"
 _WATCH_ONLY = "this key may watch the rig, not steer it: 'sweepscope keys allow' at the rig changes that"
@@ -142,7 +142,7 @@ class Tunnel:
     def _judge(self, command: Command, _who: str) -> Command:
         if self._why.get(ASKED) == _REFUSED:
             raise CommandRefusedError(_REFUSED if SPOKEN[0] in self._why else _WATCH_ONLY)
-        if self._ahead_ns is None and command.name not in TIMELESS:
+        if self._ahead_ns is None and not never_late(command.name):
             raise CommandRefusedError("not sent: the rig has not been heard yet")
         stamp = max(1, command.sent_mono_ns + (self._ahead_ns or 0))
         return msgspec.structs.replace(command, sent_mono_ns=stamp)

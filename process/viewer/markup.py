@@ -7,13 +7,14 @@ from html import escape
 
 from acquire.contract.colormaps import LEVELS, table
 from acquire.contract.messaging.messages import FaultReport, Status
+from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S, format_bytes, format_duration
 from process.viewer.rig_client.commands import Note
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.stream.colouring import PROVISIONAL_RGB, Legend
 from process.viewer.stream.streams import LinkNews
 
-from .status_text import RUNNING, Heading, Remark, heading, remarks, saved_line, scan_name
+from .status_text import Heading, Remark, heading, remarks, saved_line, scan_name
 
 DEAD_PAGE_S = 4
 """A page that has not been beaten for so long covers itself with a warning, by its style sheet alone."""
@@ -148,7 +149,7 @@ def _numbers(snapshot: Snapshot) -> list[tuple[str, str]]:
     if progress is not None:
         behind = f", {progress.lag_frames} behind" if progress.lag_frames else ""
         rows.append(("Folded", f"{progress.folded_through + 1:,} of {progress.expected:,}{behind}"))
-    if status is not None and status.state in RUNNING:
+    if status is not None and status.state in RUNNING_STATES:
         rows.append(("Rate", f"{status.rate_hz:.1f} frames/s"))
         rows.append(("Remaining", f"{format_duration(status.eta_s)} h:m:s"))
     if progress is not None:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from acquire.contract.messaging.messages import Status
-from acquire.contract.states import Outcome, State, outcome_words
+from acquire.contract.permissions import PERMISSIONS, why_not_offered
+from acquire.contract.states import RUNNING_STATES, Outcome, State, outcome_words, sign_of
 from acquire.contract.units import NS_PER_S, format_duration
 from process.viewer.rig_client.feed import Peer, Snapshot
 
@@ -18,19 +19,11 @@ WORKER_LAG_FRAMES = 2
 
 Level = Literal["note", "warning", "fault"]
 
-STATES: dict[str, tuple[str, str]] = {
-    State.DISCONNECTED: ("○", "stage or camera not connected"),
-    State.IDLE: ("●", "ready"),
-    State.HOMING: ("⌂", "homing"),
-    State.MOVING: ("→", "moving"),
-    State.PREVIEW: ("◉", "preview"),
-    State.ARMED: ("◆", "armed"),
-    State.SWEEPING: ("▶", "sweeping"),
-    State.HOLDING: ("■", "holding"),
-    State.FINISHING: ("◔", "finishing"),
-    State.FAULT: ("✖", "fault"),
+WORDS: dict[str, str] = {
+    State.DISCONNECTED: "stage or camera not connected",
+    State.IDLE: "ready",
 }
-RUNNING = frozenset({State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING})
+"""States that the page calls by another word than the rig does."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +53,10 @@ def heading(snapshot: Snapshot, now_ns: int) -> Heading:
         return Heading("◌", "connected, waiting for the first word", live=False)
     if now_ns - daemon.heard_ns > SILENT_NS:
         return Heading("◌", f"no word from the rig for {_seconds(now_ns - daemon.heard_ns)}", live=False)
-    glyph, words = STATES.get(status.state, ("?", status.state))
+    words = WORDS.get(status.state, status.state)
     if status.state == State.HOLDING and status.hold_reason:
         words = f"holding: {status.hold_reason}"
-    return Heading(glyph, words, live=True)
+    return Heading(sign_of(status.state).glyph, words, live=True)
 
 
 def remarks(snapshot: Snapshot, now_ns: int, thinned_to_one_of: int = 1) -> list[Remark]:
@@ -88,7 +81,7 @@ def _about_daemon(snapshot: Snapshot, now_ns: int) -> list[Remark]:
         return [Remark("warning", f"The rig daemon has been away{since}; these numbers are the last that it sent.")]
     if status is not None and not status.scan_path and not snapshot.cloud_scan_uid:
         return [Remark("note", "No scan yet.")]
-    if status is not None and not status.writer_alive and status.state in RUNNING:
+    if status is not None and not status.writer_alive and status.state in RUNNING_STATES:
         return [Remark("warning", "The writer is away: no frame is triggered until it is back. Nothing is lost.")]
     return []
 
@@ -151,15 +144,7 @@ def saved_line(status: Status) -> str:
 
 
 def allowed(status: Status | None, *, live: bool) -> dict[str, bool]:
-    """Which commands make sense now. ``stop`` always does."""
-    state = status.state if status is not None and live else ""
-    at_rest = state in (State.IDLE, State.PREVIEW)
-    return {
-        "scan": at_rest,
-        "pause": state == State.SWEEPING,
-        "resume": state == State.HOLDING,
-        "stop": True,
-        "jog": at_rest or state == State.MOVING,
-        "goto": at_rest,
-        "home": at_rest,
-    }
+    """Which commands are offered now; ``stop`` always is."""
+    known = status if live else None
+    offered = {name: known is not None and not why_not_offered(name, known) for name in PERMISSIONS}
+    return offered | {"stop": True}

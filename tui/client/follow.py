@@ -9,7 +9,7 @@ from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, NoServiceError
 from acquire.contract.messaging.messages import ResultProgress, Status
 from acquire.contract.states import Outcome
 from tui.client.rig_client import RigClient
-from tui.text.status_text import RUNNING_STATES, progress_line
+from tui.text.status_text import is_running, progress_line
 
 SILENCE_S = 10.0
 SAY_EVERY_S = 5.0
@@ -36,11 +36,7 @@ class Narrator:
 
 def has_ended(status: Status, scan_uid: str) -> bool:
     """True once the daemon says how the scan ended and no longer works on it."""
-    return (
-        status.scan_uid == scan_uid
-        and status.outcome not in ("", Outcome.RUNNING)
-        and status.state not in RUNNING_STATES
-    )
+    return status.scan_uid == scan_uid and status.outcome not in ("", Outcome.RUNNING) and not is_running(status)
 
 
 def follow_scan(

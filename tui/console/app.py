@@ -22,6 +22,7 @@ from textual.binding import Binding
 from textual.dom import DOMNode
 from textual.message import Message
 
+from acquire.contract.permissions import PERMISSIONS, needs_control
 from tui.console.job_runner import JobDesk
 from tui.console.keys.keynames import key_name
 from tui.console.link.messages import (
@@ -55,8 +56,6 @@ STOP_KEY = "space"
 LOOK_S = 0.5
 RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last word."""
-HARMLESS = frozenset({"stop", "status", "estimate"})
-"""Commands that a read-only console may send: none of them moves anything (STOP is everybody's)."""
 
 
 class ConsoleApp(App[None]):
@@ -266,7 +265,7 @@ class ConsoleApp(App[None]):
 
     def send_command(self, name: str, args: Mapping[str, Any], on_answer: OnAnswer | None = None) -> None:
         """Send a command; a read-only console sends none that changes anything."""
-        if self.read_only and name not in HARMLESS:
+        if self.read_only and not PERMISSIONS[name].for_observers:
             self.say(f"{name}: this console is read-only", "warning")
             return
         request_id = self._link.send(name, **args)
@@ -291,7 +290,7 @@ class ConsoleApp(App[None]):
         if action == "acknowledge" and (status is None or newest_fault(status.faults) is None):
             return "there is no fault"
         if action in ("acknowledge", "control"):
-            return self.why_no_command(changes=False)
+            return self.why_no_command(changes=needs_control(action))
         return ""
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:

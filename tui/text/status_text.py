@@ -3,45 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from acquire.contract.messaging.messages import FaultReport, ResultProgress, Status
-from acquire.contract.states import Outcome, State, outcome_words
+from acquire.contract.states import RUNNING_STATES, Outcome, State, outcome_words, sign_of
 from acquire.contract.units import format_duration
 
-RUNNING_STATES = frozenset({State.ARMED, State.SWEEPING, State.HOLDING, State.FINISHING})
-"""States in which a sweep is under way."""
 MOVING_STATES = RUNNING_STATES | {State.HOMING, State.MOVING, State.PREVIEW}
-
-
-@dataclass(frozen=True)
-class Sign:
-    """How a state looks; the word is always beside the glyph, so that nothing rests on colour or font."""
-
-    glyph: str
-    ascii_glyph: str
-    colour: str
-    """A variable of the theme."""
-
-
-_SIGNS: dict[str, Sign] = {
-    State.DISCONNECTED: Sign("○", "o", "warning"),
-    State.IDLE: Sign("●", "*", "success"),
-    State.HOMING: Sign("⌂", "H", "accent"),
-    State.MOVING: Sign("↔", "M", "accent"),
-    State.PREVIEW: Sign("◉", "P", "accent"),
-    State.ARMED: Sign("◆", "A", "accent"),
-    State.SWEEPING: Sign("▶", ">", "primary"),
-    State.HOLDING: Sign("‖", "=", "warning"),
-    State.FINISHING: Sign("◢", "F", "primary"),
-    State.FAULT: Sign("✖", "X", "error"),
-}
-UNKNOWN_SIGN = Sign("?", "?", "warning")
-
-
-def sign_of(state: str) -> Sign:
-    """The sign of a state; that of the unknown for a state of a newer daemon."""
-    return _SIGNS.get(state, UNKNOWN_SIGN)
 
 
 def state_words(status: Status) -> str:

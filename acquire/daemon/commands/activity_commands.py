@@ -45,7 +45,7 @@ class ActivityDesk(RigDesk):
         return self._begin_hold(request, now_ns)
 
     def _begin_hold(self, request: JogHoldRequest, now_ns: int) -> Result:
-        self._need_rest("jog")
+        self._refuse_now("jog_hold")
         stage = self._daemon.rig.stage
         here = stage.status().position_steps
         target, limit = self._within_travel(here + request.direction * MOST_STEPS)
@@ -69,7 +69,6 @@ class ActivityDesk(RigDesk):
 
     def _expose(self, request: NoArguments) -> Result:
         daemon = self._daemon
-        self._need_rest("search the exposure")
         lamp_on = daemon.rig.stage.status().lamp_on
         if not lamp_on:
             raise CommandRefusedError(
@@ -105,7 +104,6 @@ class ActivityDesk(RigDesk):
 
     def _capture(self, request: CaptureRequest) -> Result:
         daemon = self._daemon
-        self._need_rest("take a picture")
         path = capture_path(request.path, daemon.config.data_dir)
         activity = Capture(path, daemon.camera_info.format.pixel_format, daemon.interlude.snap)
         daemon.interlude.run(activity, daemon.clock.now_ns())
@@ -113,7 +111,6 @@ class ActivityDesk(RigDesk):
 
     def _specimen(self, request: SpecimenRequest) -> Result:
         daemon = self._daemon
-        self._need_rest("change the specimen")
         wanted = {name: value for name, value in msgspec.structs.asdict(request).items() if value is not None}
         if "moved_um" in wanted:
             wanted["specimen_moved_um"] = wanted.pop("moved_um")
@@ -125,9 +122,6 @@ class ActivityDesk(RigDesk):
 
     def _prescan(self, request: PrescanRequest) -> Result:
         daemon, sweep = self._daemon, self._daemon.config.rig.sweep
-        self._need_rest("pre-scan")
-        if not daemon.rig.stage.status().position_trusted:
-            raise CommandRefusedError("cannot pre-scan: the stage's position is not trusted; home it first")
         ends = ScanRequest(first_steps=request.first_steps, last_steps=request.last_steps)
         plan = plan_of(ends, daemon.config, daemon.settings)
         positions = look_positions(plan.first_steps, plan.last_steps, request.every_steps, sweep.steps_per_frame)

@@ -13,6 +13,7 @@ from acquire.activities.jog_hold import LEASE_MS
 from acquire.contract.errors import ProtocolError, SweepscopeError
 from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Command, Reply
+from acquire.contract.permissions import never_late
 from acquire.contract.process.clocks import Clock
 from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.units import NS_PER_MS, NS_PER_S
@@ -20,8 +21,6 @@ from acquire.contract.units import NS_PER_MS, NS_PER_S
 logger = logging.getLogger(__name__)
 MOST_PER_TURN: Final = 32
 MOST_REMEMBERED: Final = 256
-_TIMELESS: Final = ("stop", "status")
-"""Commands that are never too old to be done."""
 
 
 class CommandLane:
@@ -79,7 +78,7 @@ class CommandLane:
             return Reply(request_id=request_id, ok=False, error=f"{command.name} failed: {error}")
 
     def _patience_ns(self, name: str) -> float:
-        if name in _TIMELESS:
+        if never_late(name):
             return float("inf")
         # key presses that bunched up on the way must not move the stage after the key was let go
         return LEASE_MS * NS_PER_MS if name == "jog_hold" else self._late_after_ns

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from acquire.contract.errors import CommandRefusedError
+from acquire.contract.permissions import needs_control
 from acquire.contract.units import NS_PER_S
 
 LAPSE_NS: Final = 10 * NS_PER_S
 """So long after its holder's last word control is free again."""
-ALWAYS: Final = frozenset({"stop", "status", "estimate", "control"})
-"""Commands that anybody may give at any time."""
 
 
 @dataclass
@@ -34,7 +33,7 @@ class Control:
         holder = self.holder(now_ns)
         if holder and client == holder:
             self._until_ns = now_ns + LAPSE_NS
-        elif holder and command not in ALWAYS:
+        elif holder and needs_control(command):
             raise CommandRefusedError(f"{holder} holds control: take it with 'control take'")
 
     def change(self, action: Literal["take", "renew", "release"], client: str, now_ns: int) -> None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from acquire.activities.runner import refuse_while_busy
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.errors import CommandRefusedError
+from acquire.contract.permissions import PERMISSIONS, refusal
 from acquire.contract.states import State
 
 from .requests import CameraRequest, ControlRequest, GotoRequest, JogRequest, LampRequest, NoArguments, PreviewRequest
@@ -30,27 +30,20 @@ class RigDesk:
         self._daemon = daemon
         self._client = ""
 
-    def _need_rest(self, what: str) -> None:
-        """The rig rests, or only previews."""
-        daemon = self._daemon
-        if daemon.scan is not None:
-            raise CommandRefusedError(f"cannot {what}: a scan is running; stop it first")
-        refuse_while_busy(daemon.interlude, what)
-        if daemon.board.state is State.FAULT:
-            raise CommandRefusedError(f"cannot {what}: the rig is in fault; read it, mend its cause, acknowledge it")
-        if daemon.board.state not in (State.IDLE, State.PREVIEW):
-            raise CommandRefusedError(f"cannot {what}: the rig is {daemon.board.state}; wait, or stop it")
+    def _refuse_now(self, command: str) -> None:
+        """Raise where the table of permissions refuses a command in the present state of the rig."""
+        reason = refusal(command, self._daemon.current_status(self._daemon.clock.now_ns()))
+        if reason:
+            raise CommandRefusedError(f"cannot {PERMISSIONS[command].purpose}: {reason}")
 
     # ---- the stage ----
 
     def _goto(self, request: GotoRequest) -> Result:
-        self._need_rest("move")
         self._check_travel(request.position_steps)
         return self._move(request.position_steps)
 
     def _jog(self, request: JogRequest) -> Result:
         """Clipped at the soft limits, and says so."""
-        self._need_rest("move")
         here = self._daemon.rig.stage.status().position_steps
         wanted = here + request.steps
         target, limit = self._within_travel(wanted)
@@ -64,13 +57,11 @@ class RigDesk:
         return {"target_steps": position_steps}
 
     def _home(self, request: NoArguments) -> Result:
-        self._need_rest("home")
         self._daemon.rig.stage.home()
         self._daemon.interlude.moving(State.HOMING)
         return {}
 
     def _zero(self, request: NoArguments) -> Result:
-        self._need_rest("zero")
         self._daemon.rig.stage.zero_here()
         return {}
 
@@ -93,12 +84,10 @@ class RigDesk:
     # ---- the lamp and the camera ----
 
     def _lamp(self, request: LampRequest) -> Result:
-        self._need_rest("switch the lamp")
         self._daemon.rig.set_lamp(on=request.on)
         return {"on": request.on}
 
     def _camera(self, request: CameraRequest) -> Result:
-        self._need_rest("change the camera's settings")
         wanted = {name: value for name, value in msgspec.structs.asdict(request).items() if value is not None}
         for name, value in wanted.items():
             self._check_setting(name, value)
@@ -114,12 +103,7 @@ class RigDesk:
     # ---- the preview ----
 
     def _preview(self, request: PreviewRequest) -> Result:
-        daemon = self._daemon
-        if daemon.scan is not None:
-            raise CommandRefusedError("cannot preview: a scan is running, and its pictures are shown already")
-        if daemon.board.state is State.FAULT:
-            raise CommandRefusedError("cannot preview: the rig is in fault; read it, mend its cause, acknowledge it")
-        daemon.interlude.set_preview(on=request.on, rate_hz=request.rate_hz)
+        self._daemon.interlude.set_preview(on=request.on, rate_hz=request.rate_hz)
         return {"on": request.on, "rate_hz": request.rate_hz}
 
     # ---- control ----

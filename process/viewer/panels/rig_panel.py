@@ -134,7 +134,7 @@ class RigPanel:
         for command, button in self._buttons.items():
             write(button, disabled=not may[command])
         for widget in self._moving:
-            write(widget, disabled=not may["jog"])
+            write(widget, disabled=not may["jog_hold"])
         write(self._note, content=note_html(self._commands.note, now_ns))
         write(self._holder, content=_holder_html(self._status))
         client_id = self._lease.renewal(self._status, list(self._server.get_clients()), now_ns)

@@ -6,11 +6,11 @@ import secrets
 from dataclasses import dataclass, field
 
 from acquire.contract.messaging.messages import Status
+from acquire.contract.permissions import needs_control
 from acquire.contract.units import NS_PER_S
 
 RENEW_NS = 3 * NS_PER_S
 """Control lapses 10 s after its holder's last word; a browser that is connected keeps it."""
-ALWAYS = frozenset({"stop"})
 
 
 @dataclass
@@ -26,9 +26,9 @@ class Lease:
         return f"browser {client_id + 1} ({self.page})"
 
     def refusal(self, status: Status | None, client_id: int, command: str) -> str:
-        """Why this browser may not give this command now; empty if it may. A stop always may."""
+        """Why this browser may not give this command, because another client holds control; empty if it may."""
         holder = status.control if status is not None else ""
-        if command in ALWAYS or holder in ("", self.name(client_id)):
+        if not needs_control(command) or holder in ("", self.name(client_id)):
             return ""
         return f"{holder} holds control; this browser only looks. Take control first. Stop always works."
 

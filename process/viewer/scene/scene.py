@@ -16,12 +16,12 @@ from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.clocks import Clock
 from acquire.contract.scan_data.file_layout import read_layout
+from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S
 from process.viewer.markup import Picture
 from process.viewer.rig_client.feed import Snapshot, TileNews
 from process.viewer.rig_client.tile import Bounds
 from process.viewer.server.guarded_server import Page
-from process.viewer.status_text import RUNNING
 from process.viewer.stream.colouring import Look
 from process.viewer.stream.point_nodes import Cloud
 from process.viewer.stream.streams import Delivery
@@ -114,7 +114,7 @@ class Scene:
     def _stage_set(self, status: Status | None) -> Bounds | None:
         """What to look at: the camera's whole field while the cloud grows in it, afterwards the cloud."""
         cloud = self.cloud.bounds()
-        if cloud is None or self._field is None or status is None or status.state not in RUNNING:
+        if cloud is None or self._field is None or status is None or status.state not in RUNNING_STATES:
             return cloud or self._field
         return cloud.joined(self._field)
 

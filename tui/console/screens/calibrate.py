@@ -32,7 +32,6 @@ from tui.console.link.rig_view import RigView
 from tui.console.screens.calibrate_keys import BINDINGS
 from tui.console.screens.camera_screen import CameraScreen
 from tui.console.screens.dialogs import Field, Form
-from tui.console.state.scan_rules import busy_words
 from tui.console.widgets.board_picture import BoardPicture
 from tui.console.widgets.calibrate_panes import GuidePane, GuideView
 from tui.console.widgets.job_lines import JobLines
@@ -185,8 +184,7 @@ class CalibrateScreen(CameraScreen):
             has_verdict=self._plane_step in self._verdicts,
             works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
         )
-        busy = busy_words(status) if action in ("capture", "sweep", "pose", "object") else ""
-        return why_not(action, situation) or busy or super().why_not(action)
+        return why_not(action, situation) or super().why_not(action)
 
     def goto_first_offers(self) -> int:
         """Where the sweep ends the light lies over all of the board; beyond it, its edge lies no more on a view."""

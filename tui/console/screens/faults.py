@@ -52,7 +52,7 @@ class FaultsScreen(RigScreenBase):
 
     NAME = "faults"
     SUMMARY = "Every fault of this session stays here, acknowledged or not. The codes are explained in docs/faults.md."
-    NEEDS_RIG = frozenset({"acknowledge_all"})
+    CHANGES = frozenset({"acknowledge_all"})
     BINDINGS = [
         Binding("up", "move(-1)", "previous", show=False),
         Binding("down", "move(1)", "next", show=False),

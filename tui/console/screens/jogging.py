@@ -33,6 +33,11 @@ class Jogging:
         if wanted:
             self._send(self._gate.press(wanted, self._screen.shell.now_s()))
 
+    @property
+    def in_flight(self) -> bool:
+        """True while a move of ours is under way: a press is not sent, it waits."""
+        return self._gate.in_flight(self._screen.shell.now_s())
+
     def hold(self, direction: int) -> None:
         """A fresh press of a held key renews the lease."""
         if self._gate.hold(self._screen.shell.now_s()):

@@ -89,6 +89,10 @@ class ScanScreen(CameraScreen):
         self.set_class(event.size.height >= TALL, "tall")
         self.set_class(event.size.height < TALL, "short")
 
+    def why_not(self, action: str) -> str:
+        """A jog that the daemon would refuse because of our own move may be pressed: it waits for the move's end."""
+        return "" if action == "jog" and self._jogging.in_flight else super().why_not(action)
+
     # ---- news ----
 
     def show(self, view: RigView) -> None:

@@ -53,11 +53,15 @@ class JogGate:
 
     def press(self, steps: int, now_s: float) -> int:
         """A key was pressed; returns the microsteps to send now, 0 to send nothing."""
-        if self._in_flight and now_s - self._since_s < ANSWER_S or now_s - self._since_s < MIN_GAP_S:
+        if self.in_flight(now_s) or now_s - self._since_s < MIN_GAP_S:
             self.ignored += bool(self._waiting)
             self._waiting = self._waiting or steps
             return 0
         return self._send(steps, now_s)
+
+    def in_flight(self, now_s: float) -> bool:
+        """True while a move of ours is under way: a press waits for its end."""
+        return self._in_flight and now_s - self._since_s < ANSWER_S
 
     def _send(self, steps: int, now_s: float) -> int:
         self._in_flight, self._answered_ns, self._since_s, self._waiting = True, None, now_s, 0

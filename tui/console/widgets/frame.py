@@ -7,23 +7,24 @@ from collections.abc import Sequence
 from rich.text import Text
 
 from acquire.contract.messaging.messages import FaultReport
+from acquire.contract.states import State, sign_of
 from tui.console.link.rig_view import RigView
 from tui.console.screen_table import SCREENS
 from tui.console.state.logbook import LogLine
 from tui.console.widgets.lines import Lines, PressableLines
-from tui.text.status_text import UNKNOWN_SIGN, newest_fault, sign_of, state_words
+from tui.text.status_text import newest_fault, state_words
 from tui.text.width import shorten
 
 NOT_CONNECTED = "not connected - retrying"
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
-STATE_STYLES = {
-    "success": "bold green",
-    "warning": "bold yellow",
-    "error": "bold red",
-    "primary": "bold #4aa3ff",
-    "accent": "bold cyan",
+_WARNING = "bold yellow"
+STATE_STYLES: dict[str, str] = {
+    State.IDLE: "bold green",
+    **dict.fromkeys((State.HOMING, State.MOVING, State.PREVIEW, State.ARMED), "bold cyan"),
+    **dict.fromkeys((State.SWEEPING, State.FINISHING), "bold #4aa3ff"),
+    State.FAULT: "bold red",
 }
-
+"""Of the signs of states; all others are painted as a warning."""
 
 Offer = tuple[str, str, str]
 """Key, words, and the action with its namespace, for the mouse."""
@@ -62,9 +63,10 @@ class Header(PressableLines):
         view = self._view
         text = Text("sweepscope  ", style="bold", no_wrap=True)
         known = view.connected and view.status is not None
-        sign = sign_of(view.status.state) if known and view.status else UNKNOWN_SIGN
+        state = view.status.state if known and view.status else ""
+        sign = sign_of(state).ascii_glyph if self.ascii_only else sign_of(state).glyph
         words = state_words(view.status) if known and view.status else NOT_CONNECTED.upper()
-        text.append(f"{sign.ascii_glyph if self.ascii_only else sign.glyph} {words}", style=STATE_STYLES[sign.colour])
+        text.append(f"{sign} {words}", style=STATE_STYLES.get(state, _WARNING))
         if view.status is not None and not view.connected:
             text.append(f"  last known: {state_words(view.status)}", style="not bold dim")
         if view.stop_words:

@@ -6,7 +6,16 @@ import pytest
 
 from acquire.contract.faults import FAULTS, in_one_line, report
 from acquire.contract.scan_data.checksums import scan_digest
-from acquire.contract.states import TRANSITIONS, IllegalTransitionError, Outcome, State, outcome_words, transition
+from acquire.contract.states import (
+    SIGNS,
+    TRANSITIONS,
+    IllegalTransitionError,
+    Outcome,
+    State,
+    outcome_words,
+    sign_of,
+    transition,
+)
 from acquire.contract.units import format_bytes, format_duration
 
 
@@ -25,6 +34,12 @@ def test_every_state_can_be_reached_and_left():
     reached = set().union(*TRANSITIONS.values())
     assert reached == set(State)
     assert all(TRANSITIONS.values())
+
+
+def test_every_state_has_a_sign_of_its_own_and_a_state_of_a_newer_daemon_has_one_too():
+    assert set(SIGNS) == set(State)
+    assert len(set(SIGNS.values())) == len(SIGNS) and all(sign.ascii_glyph.isascii() for sign in SIGNS.values())
+    assert sign_of("levitating").glyph == "?"
 
 
 def test_all_27_faults_say_what_happened_what_is_safe_and_what_to_do():

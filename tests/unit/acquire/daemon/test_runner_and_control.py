@@ -171,7 +171,7 @@ def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start_
     status = rig.until(lambda s: s["state"] == "fault", "the alarm is shown")
     assert status["faults"][0]["code"] == "F23" and status["activity"] == ""
     for command, args in (("home", {}), ("preview", {"on": True}), ("expose", {})):
-        with pytest.raises(CommandRefusedError, match="the rig is in fault; read it, mend its cause, acknowledge it"):
+        with pytest.raises(CommandRefusedError, match="the rig is in fault; remove its cause and acknowledge it"):
             rig.ask(command, **args)
     rig.ask("acknowledge")
     rig.ask("home")

@@ -139,7 +139,7 @@ def test_start_while_a_sweep_runs_is_explained_and_not_sent():
         await stage.connect(SWEEPING)
         await stage.press("s")
         assert stage.sent == []
-        assert "start: not while the rig is SWEEPING" in stage.log
+        assert "start: a scan is running; stop it first" in stage.log
 
     drive(script)
 

@@ -56,7 +56,7 @@ def test_help_says_why_an_action_cannot_be_done_now():
         await stage.connect(SWEEPING)
         await stage.press("question_mark")
         found = {entry.action: entry.why_not for entry in stage.app.screen._entries}
-        assert "not while the rig is SWEEPING" in found["start"] and not found["pause"]
+        assert "a scan is running" in found["start"] and not found["pause"]
 
     drive(script)
 

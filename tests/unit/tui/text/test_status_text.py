@@ -19,7 +19,6 @@ from tui.text.status_text import (
     progress_line,
     rate_words,
     scan_name,
-    sign_of,
     state_words,
     status_lines,
     worker_words,
@@ -72,10 +71,6 @@ def test_remaining_time_is_not_guessed_while_the_sweep_holds():
 
 def test_remaining_time_is_hours_minutes_seconds():
     assert "0:00:08" in rate_words(SWEEPING)
-
-
-def test_a_state_of_a_newer_daemon_has_a_sign_too():
-    assert sign_of("levitating").glyph == "?"
 
 
 def test_progress_before_the_first_scan_is_zero_not_an_error():

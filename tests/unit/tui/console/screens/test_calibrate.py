@@ -258,7 +258,7 @@ def test_nothing_is_begun_while_the_simulated_board_is_laid(tmp_path):
         stage.watch_jobs()
         await stage.connect(msgspec.structs.replace(IDLE, activity="specimen"))
         await stage.press("c", "P", "e")
-        assert stage.sent == [] and "specimen is running: wait" in stage.log
+        assert stage.sent == [] and "specimen is running; wait" in stage.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 

@@ -178,12 +178,13 @@ def test_an_answer_without_numbers_leaves_the_estimate_unknown_and_a_refusal_is_
 @pytest.mark.parametrize(
     ("action", "status", "words"),
     [
-        ("start", SWEEPING, "not while the rig is SWEEPING"),
+        ("start", SWEEPING, "a scan is running; stop it first"),
         ("start", replace(IDLE, position_trusted=False), "not trusted"),
         ("start", IDLE, ""),
-        ("jog", replace(IDLE, state=State.MOVING), ""),
+        ("jog", replace(IDLE, state=State.MOVING), "the rig is moving"),
+        ("hold", replace(IDLE, state=State.MOVING, activity="jog"), ""),
         ("adjust", replace(IDLE, state=State.PREVIEW), ""),
-        ("adjust", SWEEPING, "locked"),
+        ("adjust", SWEEPING, "a scan is running"),
         ("resume", replace(SWEEPING, state=State.HOLDING, hold_reason=HoldReason.NO_CREDIT), "by itself"),
         ("home", replace(IDLE, state=State.PREVIEW, activity="prescan"), "prescan is running"),
         ("use_proposal", IDLE, "no proposal"),

@@ -1,0 +1,93 @@
+"""One answer to "what may be done now": the daemon's, the console's, and the page's."""
+
+from __future__ import annotations
+
+import itertools
+
+import msgspec
+import pytest
+
+from acquire.contract.errors import CommandRefusedError
+from acquire.contract.messaging.messages import Status
+from acquire.contract.permissions import PERMISSIONS, needs_control, refusal, why_not_offered
+from acquire.contract.states import HoldReason, State
+from acquire.daemon.commands.requests import REQUESTS
+from process.viewer.rig_client.lease import Lease
+from process.viewer.status_text import allowed
+from tui.console.state.scan_rules import COMMAND_OF, why_not
+
+ARGUMENTS = {
+    "resume_scan": {"path": "/nowhere"},
+    "goto": {"position_steps": 10},
+    "jog": {"steps": 1},
+    "jog_hold": {"direction": 1},
+    "lamp": {"on": True},
+    "preview": {"on": True},
+    "control": {"action": "take"},
+}
+STATUSES = [
+    Status(state=state, hold_reason=hold_reason, activity=activity, position_trusted=trusted)
+    for state in State
+    for hold_reason in (["", *HoldReason] if state is State.HOLDING else [""])
+    for activity in ("", "preview", "jog", "prescan", "exposure", "specimen", "capture")
+    for trusted in (False, True)
+]
+
+
+def test_the_table_has_every_command_of_the_daemon_and_no_other():
+    assert PERMISSIONS.keys() == REQUESTS.keys()
+
+
+@pytest.mark.parametrize("command", PERMISSIONS)
+def test_console_and_page_offer_a_command_exactly_when_the_daemon_does_not_refuse_it(command):
+    actions = [command, *(action for action, other in COMMAND_OF.items() if other == command)]
+    for status, action in itertools.product(STATUSES, actions):
+        reason = refusal(command, status)
+        if why_not_offered(command, status) == "the sweep is paused already":
+            assert not reason, "it is done, but has no effect"
+            reason = why_not_offered(command, status)
+        assert why_not(action, status) == reason
+        assert allowed(status, live=True)[command] == (not reason)
+
+
+RIGS = {
+    State.IDLE: ({}, []),
+    State.PREVIEW: ({}, [("preview", {"on": True})]),
+    State.MOVING: ({"simulation__time_scale": 5.0}, [("goto", {"position_steps": 4000})]),
+    State.HOMING: ({"simulation__time_scale": 5.0}, [("goto", {"position_steps": 100}), ("home", {})]),
+    State.ARMED: ({"limits__writer_start_s": 60.0}, [("scan", {"purpose": "raw"})]),
+}
+
+
+@pytest.mark.parametrize("state", RIGS)
+def test_the_daemon_refuses_what_the_table_refuses_in_its_words(start_rig, state):
+    settings, commands = RIGS[state]
+    rig = start_rig(**settings)
+    for name, args in commands:
+        rig.until(lambda now: now["state"] in ("idle", "preview"), "the rig rests")
+        rig.ask(name, **args)
+    status = msgspec.convert(rig.status(), Status)
+    refused = {name: reason for name in PERMISSIONS if (reason := refusal(name, status))}
+    for name, reason in refused.items():
+        with pytest.raises(CommandRefusedError) as caught:
+            rig.ask(name, **ARGUMENTS.get(name, {}))
+        assert str(caught.value) == f"{name} was refused: cannot {PERMISSIONS[name].purpose}: {reason}"
+    assert status.state == rig.status()["state"] == state and refused
+    rig.ask("stop")
+
+
+def test_only_commands_of_the_table_are_given_while_another_client_holds_control(start_rig):
+    rig = start_rig()
+    rig.ask_as("anna", "control", action="take")
+    held = Status(state=State.IDLE, control="anna")
+    free = {name for name in PERMISSIONS if not needs_control(name)}
+    assert free == {"stop", "status", "estimate", "control"}
+    for name in PERMISSIONS:
+        lease = Lease()
+        assert bool(lease.refusal(held, 0, name)) == (name not in free)
+        if name not in free:
+            with pytest.raises(CommandRefusedError, match="anna holds control"):
+                rig.ask_as("ben", name, **ARGUMENTS.get(name, {}))
+    rig.ask_as("ben", "stop")
+    rig.ask_as("ben", "status")
+    rig.ask_as("ben", "estimate", purpose="raw")
