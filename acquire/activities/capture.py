@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from acquire.cameras.protocol import CameraFrame
 from acquire.contract.errors import CommandRefusedError, ScanFileError
+from acquire.contract.files import replace_file
 
 from .background import Background
 
@@ -57,14 +57,10 @@ def write_png(path: Path, pixels: NDArray[Any], pixel_format: str) -> None:
     elif pixels.ndim == 3:
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR)
     encoded = cv2.imencode(".png", pixels)[1]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(encoded.tobytes())
-        temporary.replace(path)
+        replace_file(path, encoded.tobytes())
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
         raise ScanFileError(f"cannot write {path}: {error.strerror}; take the picture again") from None
 
 

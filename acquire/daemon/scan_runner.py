@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import os
 import shutil
 import threading
 from collections.abc import Callable
@@ -19,6 +17,7 @@ from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.lanes import Sender, shared
 from acquire.contract.messaging.messages import FaultReport, Image
 from acquire.contract.scan_data.dataset_names import MARKS_NAME, NO_SCAN_NAMES
+from acquire.contract.scan_data.reader import write_marks
 from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm
 from acquire.sweep import actions as do
@@ -157,13 +156,12 @@ class RunningScan:
                 self._on_message(text)
 
     def _mark(self, measured: dict[str, float]) -> None:
-        path = self.prepared.folder / MARKS_NAME
-        temporary = path.with_name(f".{MARKS_NAME}.{os.getpid()}.tmp")
+        folder = self.prepared.folder
         try:
-            temporary.write_text(json.dumps(measured), encoding="utf-8")
-            temporary.replace(path)
+            write_marks(folder, measured)
         except OSError as error:
-            logger.error("cannot write %s: %s; it will stand in the scan's end only", path, error)  # noqa: TRY400
+            text = "cannot write %s: %s; the measurements will be in the end of the scan only"
+            logger.error(text, folder / MARKS_NAME, error)  # noqa: TRY400
 
     def _publish(self, image: Image, pixels: NDArray[Any]) -> None:
         """The lossless lane first; the live lane may drop, and counts it."""

@@ -22,6 +22,7 @@ import zmq
 
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import ConfigError
+from acquire.contract.files import replace_file
 
 May = Literal["steer", "watch"]
 SYSTEM_CONFIG = Path("/etc/sweepscope")
@@ -96,7 +97,8 @@ def make_pair(path: Path, *, force: bool = False) -> KeyPair:
     text = tomli_w.dumps({"public": public, "secret": secret})
     try:
         _make_folder(path.parent)
-        _replace(path, "# secret: whoever reads this file can be you\n" + text, 0o600)
+        text = "# secret: whoever reads this file can be you\n" + text
+        replace_file(path, text.encode(), durable=True, mode=0o600)
         if path.is_relative_to(SYSTEM_CONFIG) and os.getuid() == 0:
             with suppress(LookupError):
                 shutil.chown(path, SERVICE_USER, SERVICE_USER)
@@ -182,20 +184,11 @@ def _save(folder: Path, entries: Mapping[str, Allowed]) -> None:
     text = tomli_w.dumps({name: {"key": entry.key, "may": entry.may} for name, entry in entries.items()})
     try:
         _make_folder(folder)
-        _replace(path, "# public keys that are let in over TCP; 'sweepscope keys' writes this\n" + text, 0o644)
+        text = "# public keys that are let in over TCP; 'sweepscope keys' writes this\n" + text
+        replace_file(path, text.encode(), durable=True, mode=0o644)
     except OSError as error:
         raise ConfigError(f"cannot write {path}: {error.strerror}; use sudo for the rig's list") from None
 
 
 def _make_folder(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True, mode=0o755 if folder.is_relative_to(SYSTEM_CONFIG) else 0o700)
-
-
-def _replace(path: Path, text: str, mode: int) -> None:
-    """Write a file from one moment to the next; it never exists with a wider mode than it shall have."""
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        os.fchmod(file.fileno(), mode)
-        file.write(text)
-    fresh.replace(path)

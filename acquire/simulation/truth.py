@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ConfigError
+from acquire.contract.files import replace_file
 
 from .kernels import kernel
 from .optics import Projector, normal_cdf
@@ -76,16 +76,14 @@ def truth(scene: Scene, first_steps: int, steps_per_frame: int, count: int) -> T
 
 
 def write_truth(path: Path, truth: Truth) -> None:
-    """Write truth.h5 under a temporary name, then rename it."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    """Write truth.h5."""
+
+    def write(temporary: Path) -> None:
         with h5py.File(temporary, "w") as file:
             for name in ("points", "crossing", "normals", "visible", "amplitude", "edge_width"):
                 file[name] = getattr(truth, name)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+
+    replace_file(Path(path), write)
 
 
 def _light_arrays(scene: Scene) -> tuple[NDArray[np.generic], ...]:

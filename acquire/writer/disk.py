@@ -123,15 +123,6 @@ def rename_new(source: Path, target: Path) -> None:
     source.rename(target)
 
 
-def sync_folder(folder: Path) -> None:
-    """fsync a folder, so that names made or changed in it survive a power cut."""
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
-
-
 def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
     """Write all of ``data`` at ``offset``; the kernel may take it in several pieces."""
     written = os.pwrite(fd, data, offset)

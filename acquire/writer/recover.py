@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
+from acquire.contract.files import leftovers
 from acquire.contract.frame_ranges import ranges_of
 from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import (
@@ -150,21 +151,14 @@ def _pid_in(lock: Path) -> str:
 
 
 def _look_after(folder: Path, owner: str, options: RecoverOptions) -> Recovered:
-    for leftover in (*folder.glob(f"{CREATING_PREFIX}*"), *folder.glob(".*.tmp")):
-        if not _is_being_written(leftover):
-            leftover.unlink(missing_ok=True)
+    for leftover in (*folder.glob(f"{CREATING_PREFIX}*"), *leftovers(folder)):
+        leftover.unlink(missing_ok=True)
     partial, sealed = folder / PARTIAL_NAME, folder / SEALED_NAME
     if not partial.exists() and not sealed.exists():
         return _without_scan(folder)
     path = sealed if sealed.exists() else partial
     with closing(ScanFile(path, sealed_path=sealed)) as scan:
         return _sealed_scan(scan, folder, options) if scan.sealed else _partial_scan(scan, folder, owner, options)
-
-
-def _is_being_written(leftover: Path) -> bool:
-    """Results are written under ``.NAME.PID.tmp``: those of a living process are not left over."""
-    pid = leftover.name.split(".")[-2]
-    return leftover.suffix == ".tmp" and pid.isdecimal() and Path("/proc", pid).exists()
 
 
 def _without_scan(folder: Path) -> Recovered:

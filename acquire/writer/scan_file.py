@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.files import sync
 from acquire.contract.messaging.messages import Image, Start
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.scan_data.dataset_names import CHECK_ROLES, PARTIAL_NAME, SEALED_NAME, FrameStatus, find_scan_file
@@ -21,7 +22,7 @@ from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 
 from .create_file import ScanRecipe, create_file
-from .disk import disk_error, rename_new, sync_folder, write_at
+from .disk import disk_error, rename_new, write_at
 from .frame_store import USABLE, FrameRefusedError, ScanStore
 
 Pixels = bytes | memoryview | NDArray[Any]
@@ -82,9 +83,9 @@ def _create_in(folder: Path, recipe: ScanRecipe) -> ScanFile:
     partial = folder / PARTIAL_NAME
     try:
         rename_new(creating, partial)
-        sync_folder(folder)
+        sync(folder)
         # the folder itself may be new: its name must survive a power cut as well
-        sync_folder(folder.parent)
+        sync(folder.parent)
     except OSError as error:
         creating.unlink(missing_ok=True)
         if error.errno == errno.EEXIST:
@@ -295,7 +296,7 @@ class ScanFile(ScanStore):
             else:
                 rename_new(self.path, self._sealed_path)
             self.path, self.sealed = self._sealed_path, True
-            sync_folder(self.path.parent)
+            sync(self.path.parent)
 
     def _reread(self, seal: Seal) -> None:
         with ScanReader(seal.path) as reader:

@@ -1,16 +1,16 @@
-"""Owns writing calibration.json: checked as a reader would check it, unknown keys kept, replaced by a rename."""
+"""Write calibration.json: checked as a reader would check it, unknown keys kept, replaced in one step."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from acquire.contract.calibration import load_calibration, parse_calibration
 from acquire.contract.errors import CalibrationError
+from acquire.contract.files import replace_file
 
 
 def new_document(camera: dict[str, Any], light_plane: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def read_document(path: Path) -> dict[str, Any]:
 
 
 def write_document(path: Path, document: dict[str, Any], *, force: bool = False) -> None:
-    """Write a calibration under a temporary name, then rename it.
+    """Write a calibration so that it survives a power cut: unlike results it cannot be made again from a scan.
 
     Raises:
         CalibrationError: the file is there and ``force`` is not given, the content is not valid, or it cannot be
@@ -41,12 +41,9 @@ def write_document(path: Path, document: dict[str, Any], *, force: bool = False)
         raise CalibrationError(f"{path} is there and was left alone: name another file, or replace it with --force")
     text = json.dumps(_finite(document), indent=1, allow_nan=False) + "\n"
     parse_calibration(text, str(path))
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        replace_file(path, text.encode(), durable=True)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise CalibrationError(f"cannot write {path}: {error.strerror}; nothing was changed") from None
 
 

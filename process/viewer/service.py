@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import sys
 import threading
@@ -13,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from acquire.contract.config.load import LoadedConfig
+from acquire.contract.files import replace_file
 from acquire.contract.process.clocks import MonotonicClock
 from acquire.contract.process.logs import is_journal
 from acquire.contract.process.notify import Notifier
@@ -189,12 +189,8 @@ def address(gate: Gate, port: int) -> str:
 def announce(url: str, run_dir: Path) -> None:
     """Print the address on a line of its own, and leave it in ``viewer.url``, for those who may use the sockets."""
     target = run_dir / URL_FILE
-    temporary = run_dir / f"{URL_FILE}.new"
-    temporary.unlink(missing_ok=True)
     mode = 0o640 if run_dir.stat().st_mode & 0o010 else 0o600
-    with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w", encoding="ascii") as file:
-        file.write(f"{url}\n")
-    temporary.replace(target)
+    replace_file(target, f"{url}\n".encode("ascii"), mode=mode)
     # what stands in the journal is read by more people than the file is
     print(f"the address of the page is in {target}" if is_journal(sys.stdout) else url, flush=True)
 

@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 from acquire.contract.errors import SweepscopeError
+from acquire.contract.files import replace_file
 
 LONG_S = 1800.0
 
@@ -33,24 +34,14 @@ def run(*command: str | Path, timeout_s: float = LONG_S) -> str:
 
 
 def point(link: Path, target: Path) -> None:
-    """Let ``link`` point to ``target`` from one moment to the next."""
-    fresh = link.with_name(f".{link.name}.new")
-    fresh.unlink(missing_ok=True)
-    fresh.symlink_to(target)
-    os.replace(fresh, link)  # noqa: PTH105 - Path.replace follows nothing either, but says less
+    """Let the symbolic link ``link`` point to ``target``; it exists at every moment."""
+    replace_file(link, lambda temporary: temporary.symlink_to(target))
 
 
 def put(path: Path, text: str, mode: int = 0o644) -> None:
-    """Write a file from one moment to the next."""
+    """Write a file in one step."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fresh = path.with_name(f".{path.name}.new")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        fresh.chmod(mode)
-        fresh.replace(path)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
+    replace_file(path, text.encode(), mode=mode)
 
 
 def systemd_runs(*, user: bool) -> bool:

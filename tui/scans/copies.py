@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.files import replace_file, sync
 from acquire.contract.scan_data.dataset_names import CHECKSUMS_NAME, COPIES_NAME, OWNER_LOCK_NAME
 from acquire.contract.units import format_bytes
 
@@ -77,10 +78,10 @@ def copy_scan(folder: Path, dest: Path, progress: Progress = lambda _done, _tota
                 raise ScanFileError(f"{name} arrived damaged on {dest}: nothing was kept there; check that disk")
         text = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items()))
         (making / CHECKSUMS_NAME).write_text(text, encoding="utf-8")
-        _sync(making / CHECKSUMS_NAME)
-        _sync(making)
+        sync(making / CHECKSUMS_NAME)
+        sync(making)
         making.rename(target)
-    _sync(target.parent)
+    sync(target.parent)
     made = Copied(str(target), datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"), total, len(files))
     _mark(folder, made)
     return made
@@ -152,20 +153,11 @@ def _digest(path: Path, count: Callable[[int], None]) -> str:
     return digest.hexdigest()
 
 
-def _sync(path: Path) -> None:
-    fd = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
-
-
 def _mark(folder: Path, made: Copied) -> None:
     """Remember the copy beside the scan."""
-    path, temporary = folder / COPIES_NAME, folder / f".{COPIES_NAME}.{os.getpid()}.tmp"
+    path = folder / COPIES_NAME
+    text = msgspec.json.format(msgspec.json.encode((*copies_of(folder), made)), indent=1) + b"\n"
     try:
-        temporary.write_bytes(msgspec.json.format(msgspec.json.encode((*copies_of(folder), made)), indent=1) + b"\n")
-        temporary.replace(path)
+        replace_file(path, text, durable=True)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise ScanFileError(f"the copy in {made.to} is whole, but {path} cannot be written: {error.strerror}") from None

@@ -1,8 +1,7 @@
-"""Owns notes.json beside a scan: what people write about it afterwards; the scan file itself is never changed."""
+"""notes.json beside a scan: what people write about it afterwards. The scan file itself is never changed."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.files import replace_file
 
 from .dataset_names import NOTES_NAME
 
@@ -40,12 +40,12 @@ def notes_of(folder: Path, recorded: Mapping[str, Any]) -> Notes:
     path = folder / NOTES_NAME
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: it holds no notes of ours")
+            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: these are not our notes")
         return msgspec.json.decode(path.read_bytes(), type=Notes)
     except FileNotFoundError:
         return _recorded(recorded)
     except (OSError, msgspec.MsgspecError) as error:
-        raise ScanFileError(f"{path} cannot be read: {error}; mend it, or remove it to see what was recorded") from None
+        raise ScanFileError(f"{path} cannot be read: {error}; fix it, or remove it to see what was recorded") from None
 
 
 def _recorded(fields: Mapping[str, Any]) -> Notes:
@@ -64,17 +64,11 @@ def write_notes(folder: Path, notes: Notes) -> Notes:
     """
     stamped = msgspec.structs.replace(notes, edited_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
     path = folder / NOTES_NAME
-    temporary = folder / f".{NOTES_NAME}.{os.getpid()}.tmp"
     try:
         checked = msgspec.convert(msgspec.to_builtins(stamped), Notes)
-        with temporary.open("wb") as file:
-            file.write(msgspec.json.format(msgspec.json.encode(checked), indent=1) + b"\n")
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        replace_file(path, msgspec.json.format(msgspec.json.encode(checked), indent=1) + b"\n", durable=True)
     except msgspec.ValidationError as error:
         raise ScanFileError(f"these notes are not kept: {error}") from None
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise ScanFileError(f"cannot write {path}: {error.strerror}; the notes are as they were") from None
     return checked

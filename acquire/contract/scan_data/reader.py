@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.files import replace_file
 
 from .checksums import frame_crc32
 from .dataset_names import CHECK_ROLES, MARKS_NAME, MEASURED, MEASURED_BYTES, FrameStatus
@@ -20,11 +21,20 @@ from .file_layout import read_layout
 
 
 def read_marks(folder: Path) -> dict[str, float]:
-    """What ``marks.json`` beside a scan says; empty where there is none."""
+    """``marks.json`` beside a scan: what was measured so far, by the names of ``End.checks``; empty without one."""
     try:
         return _numbers((folder / MARKS_NAME).read_text(encoding="utf-8", errors="replace")[:MEASURED_BYTES])
     except OSError:
         return {}
+
+
+def write_marks(folder: Path, measured: dict[str, float]) -> None:
+    """Write ``marks.json``; not synced to disk, because a sweep does not wait for it.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    replace_file(folder / MARKS_NAME, msgspec.json.encode(measured))
 
 
 def _numbers(text: str) -> dict[str, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from acquire.contract.errors import CalibrationError
+from acquire.contract.files import replace_file
 from tui.scans.json_file import read_object
 
 FOLDER_NAME = "calibration"
@@ -94,11 +94,9 @@ class CalibrationSession:
         Raises:
             CalibrationError: the folder cannot be written to.
         """
-        temporary = self.folder / f".{BOARD_NAME}.{os.getpid()}.tmp"
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(msgspec.json.encode(board) + b"\n")
-            temporary.replace(self.folder / BOARD_NAME)
+            replace_file(self.folder / BOARD_NAME, msgspec.json.encode(board) + b"\n")
         except OSError as error:
             raise CalibrationError(f"cannot write {self.folder}: {error.strerror}; the board is not kept") from None
         self.board = board

@@ -205,9 +205,9 @@ def killed_at(call: int, work: Callable[[], None]) -> bool:
 
 
 def _die_at_nth_disk_call(nth: int) -> None:
-    from acquire.writer import disk, scan_file
     from acquire.writer import frame_store as scan_store
     from acquire.writer import recover as module
+    from acquire.writer import scan_file
 
     calls = []
 
@@ -224,11 +224,10 @@ def _die_at_nth_disk_call(nth: int) -> None:
         (scan_store, "write_at"),
         (scan_file, "write_at"),
         (scan_file, "rename_new"),
-        (scan_file, "sync_folder"),
+        (scan_file, "sync"),
         (module, "punch"),
         (os, "fdatasync"),
         (os, "fsync"),
-        (disk, "sync_folder"),
     ):
         setattr(owner, name, deadly(getattr(owner, name)))
 

@@ -90,7 +90,7 @@ def test_notes_that_are_too_long_or_broken_are_refused_and_what_was_there_stays(
     assert read_entry(folder).notes.notes == "short"
     (folder / "notes.json").write_text("{")
     assert run(["notes", str(folder)]) == 1
-    assert "mend it, or remove it" in capsys.readouterr().err
+    assert "fix it, or remove it" in capsys.readouterr().err
     assert read_entry(folder).state == "unreadable"
 
 
