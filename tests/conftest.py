@@ -8,21 +8,23 @@ import os
 import shutil
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
 import pytest
+import pytest_timeout
 
-GRACE_S = 3.0
+from tests.waiting import Stopwatch
+
+GRACE_S = 5.0
 """What a test started may take so long to go away after the test's end."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # begun in the background of a script: what tests start must hear Ctrl-C all the same
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_LASTING_THREADS = ("pymon", "asyncio_", "ThreadPoolExecutor", "numba", "playwright")
+_LASTING_THREADS = ("pymon", "asyncio_", "ThreadPoolExecutor", "numba", "playwright", "undisturbed-clock")
 
 
 def _threads() -> set[threading.Thread]:
@@ -63,14 +65,36 @@ _KINDS: dict[str, Callable[[], set]] = {
 
 
 def _left_behind(before: dict[str, set]) -> dict[str, set]:
-    deadline = time.monotonic() + GRACE_S
+    watch = Stopwatch()
     while True:
         left = {kind: count() - before[kind] for kind, count in _KINDS.items()}
         left = {kind: things for kind, things in left.items() if things}
-        if not left or time.monotonic() > deadline:
+        if not left or watch.elapsed_s > GRACE_S:
             return left
         gc.collect()
         threading.Event().wait(0.05)
+
+
+@pytest.hookimpl
+def pytest_timeout_set_timer(item: pytest.Item, settings: pytest_timeout.Settings) -> bool:
+    """The time limit of a test counts seconds of an undisturbed machine, as all its waits do."""
+    watch = Stopwatch()
+
+    def rings(_signal: int, _frame: object) -> None:
+        left_s = settings.timeout - watch.elapsed_s
+        if left_s > 0:
+            signal.setitimer(signal.ITIMER_REAL, max(left_s, 0.1))
+        else:
+            pytest_timeout.timeout_sigalrm(item, settings)
+
+    def cancel() -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+
+    item.cancel_timeout = cancel  # type: ignore[attr-defined]  # the plugin calls it
+    signal.signal(signal.SIGALRM, rings)
+    signal.setitimer(signal.ITIMER_REAL, settings.timeout)
+    return True
 
 
 @pytest.fixture(autouse=True)

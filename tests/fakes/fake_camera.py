@@ -12,7 +12,6 @@ import argparse
 import json
 import os
 import random
-import sys
 import time
 from pathlib import Path
 from typing import IO, Any
@@ -28,6 +27,7 @@ from acquire.contract.states import Outcome, State
 from acquire.daemon.frame_sender import FrameLane
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
+from tests.waiting import Stopwatch
 
 STATUS_S = 0.2
 
@@ -48,7 +48,7 @@ class FakeCamera:
         self.nacks: dict[str, int] = {}
         self.durable = 0
         self.end_ack: EndAck | None = None
-        self._deadline = time.monotonic() + options.deadline_s
+        self._watch = Stopwatch()
         self._next_status = 0.0
 
     def run(self) -> dict[str, Any]:
@@ -66,6 +66,11 @@ class FakeCamera:
         self._until(lambda: self.end_ack is not None, "the end's ack")
         self.live.send(end)
         return self._summary()
+
+    def stay(self) -> None:
+        """Go on telling the status until the process is ended, as a daemon does: the live lane may lose the end."""
+        while True:
+            self._pause(STATUS_S)
 
     def _end_message(self) -> End:
         options = self.options
@@ -120,7 +125,7 @@ class FakeCamera:
 
     def _until(self, fact: Any, what: str) -> None:
         while not fact():
-            if time.monotonic() > self._deadline:
+            if self._watch.elapsed_s > self.options.deadline_s:
                 raise SystemExit(f"fake camera: {what}: not within {self.options.deadline_s:g} s")
             self.lane.socket.poll(20)
             self._poll()
@@ -199,6 +204,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--bad", type=float, default=0.0, help="share of frames preceded by a damaged one")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--deadline-s", type=float, default=60.0)
+    parser.add_argument("--stay", type=int, default=0, help="1: go on telling the status after the end")
     parser.add_argument("--witness", type=Path, help="log of every frame, synced before it is sent")
     parser.add_argument("--acks", type=Path, help="log of every ack: frame_index and CLOCK_MONOTONIC in ns")
     options = parser.parse_args()
@@ -212,8 +218,10 @@ def main() -> None:
     lock = lock_service(prepare_run_dir(options.run_dir), "daemon")
     context: zmq.Context[Any] = zmq.Context()
     try:
-        print(json.dumps(FakeCamera(options, context).run()))
-        sys.stdout.flush()
+        camera = FakeCamera(options, context)
+        print(json.dumps(camera.run()), flush=True)
+        if options.stay:
+            camera.stay()
     finally:
         context.destroy(linger=1000)
         lock.release()

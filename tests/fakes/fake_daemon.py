@@ -20,6 +20,7 @@ from acquire.contract.messaging.lanes import Sender, bind, receive
 from acquire.contract.messaging.messages import Command, Picture, Reply, ResultEnd, ResultProgress, Status
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import HoldReason, Outcome, State
+from tests.waiting import DEADLINE_S, wait_for
 
 PLAN = SweepPlan(first_steps=0, last_steps=1578, steps_per_frame=3, um_per_microstep=3.175)
 IDLE = Status(
@@ -112,11 +113,15 @@ class FakeDaemon:
         with self._lock:
             self.status = msgspec.structs.replace(self.status, **changes)
 
-    def asked(self, name: str, count: int = 1, deadline_s: float = 5.0) -> dict[str, Any]:
+    def asked(self, name: str, count: int = 1, deadline_s: float = DEADLINE_S) -> dict[str, Any]:
         """Wait until command ``name`` has come ``count`` times; returns the last one's arguments."""
-        with self._changed:
-            if not self._changed.wait_for(lambda: len(self._of(name)) >= count, deadline_s):
-                raise AssertionError(f"{name} was not asked {count} times, but: {self.commands}")
+
+        def came() -> bool:
+            with self._changed:
+                return self._changed.wait_for(lambda: len(self._of(name)) >= count, 0.2)
+
+        wait_for(came, f"{count} times the command {name}", deadline_s, why=lambda: self.commands)
+        with self._lock:
             return self._of(name)[-1]
 
     def _of(self, name: str) -> list[dict[str, Any]]:

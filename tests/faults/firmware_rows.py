@@ -20,6 +20,7 @@ from acquire.contract.scan_data.dataset_names import PINS_NAME
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.stages.uno.emulator import missing_tools
 from tests.conftest import need
+from tests.waiting import WALL_CLOCK_S
 from tui.client.rig_client import RigClient
 
 from .harness import EXPOSED_SHARE, START_S, STEPS, Rig, assert_promise
@@ -53,7 +54,7 @@ class Bench:
 
     def __init__(self, control: Path) -> None:
         self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.settimeout(10)
+        self._socket.settimeout(WALL_CLOCK_S)
         self._socket.connect(str(control))
         self._lines = self._socket.makefile("r", encoding="ascii")
 

@@ -32,6 +32,7 @@ from acquire.contract.scan_data.reader import ScanReader
 from acquire.simulation import Renderer, build_scene
 from tests import ROOT
 from tests.system.appliance import SMALL, Appliance
+from tests.waiting import DEADLINE_S
 from tui.client.rig_client import RigClient
 
 STEPS = 12
@@ -81,7 +82,7 @@ class Rig(Appliance):
     def __init__(self, run_dir: Path, data_dir: Path, seed: int, at: float, sabotage: str = "") -> None:
         super().__init__(run_dir, data_dir, **PACED)
         self.random, self.at, self.sabotage, self.seed = random.Random(seed), at, sabotage, seed
-        self.deadline_s = 20.0 if sabotage else 60.0
+        self.deadline_s = 20.0 if sabotage else DEADLINE_S
         self.seen: dict[str, Seen] = {}
         self.light = Light()
         self.flag = data_dir.parent / "flag"
@@ -131,7 +132,7 @@ class Rig(Appliance):
     def client(self) -> RigClient:
         """As the base; a service that only takes its time to start has not noticed anything."""
         self.until(lambda: is_served(self.run_dir), "the daemon binds", START_S)
-        return RigClient(self.run_dir, timeout_s=30.0)
+        return RigClient(self.run_dir, timeout_s=self.deadline_s)
 
     def ready(self, client: RigClient) -> None:
         """Wait until a sweep can begin."""

@@ -8,7 +8,6 @@ witness of where each frame was taken.
 from __future__ import annotations
 
 import random
-import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 
 from acquire.contract.errors import CommandRefusedError, NoServiceError, ScanFileError
 from acquire.contract.scan_data.reader import ScanReader
+from tests.waiting import Stopwatch
 
 from .firmware_rows import assert_pins, home, set_up
 from .harness import Rig, a_rig, assert_frames, assert_promise
@@ -87,8 +87,8 @@ def _one_sweep(rig: Rig, kills: Kills, source: random.Random) -> None:
             scan = _begin(rig, {})
         _kill_one(rig, kills, source)
         _check(scan, rig, kills)
-    deadline = time.monotonic() + 90
-    while time.monotonic() < deadline:
+    watch = Stopwatch()
+    while watch.elapsed_s < 90:
         if _sealed(scan):
             break
         kills.resumed += bool(_begin(rig, scan))

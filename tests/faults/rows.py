@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import resource
 import signal
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -274,7 +273,7 @@ def clients_come_and_go(rig: Rig) -> None:
         scan = rig.begin(client)
         rig.moment(client)
         for _ in range(50):
-            with RigClient(rig.run_dir, timeout_s=20) as visitor:
+            with RigClient(rig.run_dir, timeout_s=rig.deadline_s) as visitor:
                 assert visitor.request("status").result["scan_uid"] == scan["scan_uid"]
         complete(rig, client, scan)
 
@@ -431,10 +430,8 @@ def told_to_end(rig: Rig) -> None:
     if which == "no credit":
         rig.pause(0.3)
         rig.send_signal("writer", signal.SIGCONT)
-    try:
-        assert process.wait(rig.deadline_s) == 0, f"told to end while {which} it left with another status"
-    except subprocess.TimeoutExpired:
-        raise AssertionError(f"told to end while {which} it stays") from None
+    rig.until(lambda: process.poll() is not None, f"it leaves when told so while {which}")
+    assert process.returncode == 0, f"told to end while {which} it left with another status"
     if not scan:
         return
     assert_promise(Path(scan["path"]), rig, "aborted")
@@ -533,10 +530,9 @@ def two_of_a_kind(rig: Rig) -> None:
         second = dict(rig.processes)
         try:
             for name, process in second.items():
-                assert process.wait(rig.deadline_s) == 1, f"a second {name} did not leave"
+                rig.until(lambda process=process: process.poll() is not None, f"a second {name} leaves")
+                assert process.returncode == 1, f"a second {name} did not leave"
                 assert f"pid {first[name].pid}" in rig.log.read_text()
-        except subprocess.TimeoutExpired:
-            raise AssertionError("a second service stayed") from None
         finally:
             for process in second.values():
                 process.kill()

@@ -23,6 +23,7 @@ from acquire.writer.scan_file import create_scan
 from acquire.writer.verify import verify
 from tests import ROOT
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
+from tests.waiting import run
 
 COUNT = 6
 json_values = st.recursive(
@@ -100,15 +101,11 @@ for _ in range(int(sys.argv[4])):
 
 def test_flipped_bits_in_the_structure_crash_nobody(sealed, tmp_path):
     """In a process of its own, because the library that reads HDF5 is C: a crash there would take the tests along."""
-    import subprocess
     import sys
 
     (tmp_path / "whole").write_bytes(sealed)
     arguments = [str(tmp_path / "whole"), str(tmp_path / "scan.h5"), "4", "200"]
-    done = subprocess.run(
-        [sys.executable, "-c", _FLIP, *arguments], capture_output=True, text=True, timeout=100, check=False,
-        cwd=ROOT,
-    )  # fmt: skip
+    done = run([sys.executable, "-c", _FLIP, *arguments], cwd=ROOT)
     assert done.returncode == 0, done.stderr[-2000:]
 
 
@@ -245,7 +242,6 @@ def import_or_refuse(frames: Path, source: random.Random) -> str:
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_a_folder_with_a_bent_picture_is_refused_in_one_line_or_imported_as_it_is_read(suffix, tmp_path):
     """In a process of its own, because the decoders are C."""
-    import subprocess
     import sys
 
     frames = tmp_path / "frames"
@@ -253,10 +249,7 @@ def test_a_folder_with_a_bent_picture_is_refused_in_one_line_or_imported_as_it_i
     shades = np.random.default_rng(1).integers(0, 255, (20, 30), dtype=np.uint8)
     for k in range(3):
         cv2.imwrite(str(frames / f"{k}.{suffix}"), shades // (k + 1))
-    done = subprocess.run(
-        [sys.executable, "-c", _BEND, str(frames), "7", "25"], capture_output=True, text=True, timeout=100,
-        check=False, cwd=ROOT,
-    )  # fmt: skip
+    done = run([sys.executable, "-c", _BEND, str(frames), "7", "25"], cwd=ROOT)
     assert done.returncode == 0, done.stderr[-2000:]
     refused, _imported = map(int, done.stdout.split())
     assert refused > 5

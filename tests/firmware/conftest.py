@@ -16,8 +16,9 @@ from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEve
 from acquire.stages.uno.stage import UnoStage
 from acquire.stages.uno.config import switch_position_steps
 from tests.conftest import need
+from tests.waiting import DEADLINE_S, wait_for
 
-WAIT_S = 20.0
+WAIT_S = DEADLINE_S
 LIMIT_AT = -300
 """Where the bench's switch is pressed, in true microsteps from the stage's place at the start."""
 
@@ -73,28 +74,33 @@ class Bench:
     def wait_until(
         self, wanted: Callable[[StageEvent], bool], *, timeout_s: float = WAIT_S, alive: bool = True
     ) -> StageEvent:
-        deadline_s = time.monotonic() + timeout_s
-        while time.monotonic() < deadline_s:
+        def came() -> StageEvent | None:
             if alive:
                 self.stage.keep_alive()
             try:
                 event = self.events.get(timeout=0.02)
             except queue.Empty:
-                continue
+                return None
             self.seen.append(event)
             if wanted(event):
                 return event
             assert not isinstance(event, Alarm), event
-        raise AssertionError(f"nothing came in {timeout_s} s; last were {self.seen[-5:]}; {self.stage.report}")
+            return None
+
+        why = lambda: f"last were {self.seen[-5:]}; {self.stage.report}"  # noqa: E731
+        found = wait_for(came, "the event", timeout_s, pause=lambda: None, why=why)
+        assert found is not None
+        return found
 
     def until(self, condition: Callable[[], bool], *, timeout_s: float = WAIT_S, alive: bool = True) -> None:
         """Wait for a state that no event tells."""
-        deadline_s = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline_s, f"it did not come to that; {self.stage.report}"
+
+        def pause() -> None:
             if alive:
                 self.stage.keep_alive()
             time.sleep(0.005)
+
+        wait_for(condition, "the state", timeout_s, pause=pause, why=lambda: self.stage.report)
 
     def move(self, position_steps: int) -> Moved:
         self.stage.move_to(position_steps)

@@ -16,6 +16,7 @@ from acquire.stages.uno.ports import PortError, open_port
 from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.stages.uno.stage import UnoStage
 from acquire.stages.uno.wire_format import LINK_BAUD, Cmd, McuState, MoveBody, StatusBody
+from tests.waiting import WALL_CLOCK_S
 
 STEP = Segment(30, 3, 12, mode="step", settle_ms=0.5, dwell_ms=1.0, run_up_steps=20)
 FLY = Segment(30, 3, 40, mode="fly", period_ms=1000 / 60, run_up_steps=20)
@@ -83,7 +84,7 @@ def test_f11_noise_on_the_line_moves_nothing_wrong_and_runs_nothing_twice(bench,
         answers = [bench.stage._link.send(Cmd.MOVE, MoveBody(distance, 1, 0).pack()) for _ in range(8)]
         bench.stage.keep_alive()
         # a relative move is refused while the one before still runs: what was acknowledged, and only that, moves
-        done = [answer.result(timeout=20).body[0] == 0 for answer in answers]
+        done = [answer.result(timeout=WALL_CLOCK_S).body[0] == 0 for answer in answers]
         asked, moved = asked + len(done), moved + sum(done)
         place += distance * sum(done)
     bench.emulator.knob("noise 0")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
@@ -11,11 +9,12 @@ from acquire.stages.uno.emulator import FIRMWARE_DIR
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, Stopped
 from acquire.stages.uno.config import switch_position_steps
 from tests.firmware.conftest import LIMIT_AT
+from tests.waiting import run
 
 
 def make(build_dir, target):
     command = ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={build_dir}", target]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    return run(command)
 
 
 def test_the_pure_parts_hold_when_compiled_for_this_machine(tmp_path):

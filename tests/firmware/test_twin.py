@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
-import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from acquire.rigs.simulated import SimulatedRig
 from acquire.rigs.build import build_rig
 from acquire.stages.protocol import Moved, Segment, SegmentDone, Triggered
 from acquire.rigs.twin import TwinRig
+from tests.waiting import next_of, run, wait_for
 
 SEGMENT = Segment(30, 6, 8, dwell_ms=4.0, run_up_steps=20)
 
@@ -42,24 +41,25 @@ class Taker:
         rig.stage.open(self.events.put)
 
     def wait(self, kind):
-        deadline_s = time.monotonic() + 30
         seen = []
-        while time.monotonic() < deadline_s:
+
+        def came():
             self.rig.stage.keep_alive()
             try:
                 seen.append(self.events.get(timeout=0.02))
             except queue.Empty:
-                continue
-            if isinstance(seen[-1], kind):
-                return seen
-        raise AssertionError(f"no {kind.__name__}; {seen}")
+                return False
+            return isinstance(seen[-1], kind)
+
+        wait_for(came, kind.__name__, why=lambda: seen)
+        return seen
 
     def take(self, segment, lost=0):
         self.rig.set_lamp(on=True)
         self.rig.camera.arm()
         self.rig.stage.begin_segment(segment, segment.count - 1)
         shots = [event for event in self.wait(SegmentDone) if isinstance(event, Triggered)]
-        return shots, [self.frames.get(timeout=10).pixels for _ in range(segment.count - lost)]
+        return shots, [next_of(self.frames).pixels for _ in range(segment.count - lost)]
 
     def close(self):
         self.rig.stage.close()
@@ -122,9 +122,7 @@ def test_the_demonstration_on_the_twin_gives_the_same_cloud(firmware, tmp_path):
         data = tmp_path / f"data{len(clouds)}"
         command = [sys.executable, "-m", "tui.cli", "demo", *flag, "--size", "160x120", "--frames", "24"]
         command += ["--seed", "5", "--time-scale", "0.5", "--data-dir", str(data)]
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=110, check=False, stdin=subprocess.DEVNULL
-        )
+        done = run(command, stdin=subprocess.DEVNULL)
         (folder,) = (path for path in data.iterdir() if (path / "scan.h5").exists())
         assert "SAVED: 24 of 24" in done.stdout, done.stdout + done.stderr
         clouds.append((folder / "cloud.ply").read_bytes())

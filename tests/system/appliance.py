@@ -6,16 +6,15 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.run_dir import is_served
+from tests.waiting import DEADLINE_S, exit_status, wait_for
 from tui.client.rig_client import RigClient
 
-DEADLINE_S = 60.0
 SMALL = {
     "CAMERA__WIDTH": 128,
     "CAMERA__HEIGHT": 96,
@@ -54,13 +53,13 @@ class Appliance:
         """SIGKILL, and wait until it is gone."""
         process = self.processes.pop(service)
         process.kill()
-        process.wait(DEADLINE_S)
+        exit_status(process)
 
     def end(self, service: str, number: int = signal.SIGTERM) -> int:
         """Tell a service to end; returns its exit status."""
         process = self.processes.pop(service)
         process.send_signal(number)
-        return process.wait(DEADLINE_S)
+        return exit_status(process)
 
     def close(self) -> None:
         """Kill whatever still runs."""
@@ -70,17 +69,14 @@ class Appliance:
     def client(self) -> RigClient:
         """A client, once the daemon answers."""
         self.until(lambda: is_served(self.run_dir), "the daemon binds")  # noqa: PLW0108
-        return RigClient(self.run_dir, timeout_s=30.0)
+        return RigClient(self.run_dir, timeout_s=DEADLINE_S)
 
     def until(self, condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
         """Wait for something with a deadline; the services' log is shown when it does not come."""
-        deadline = time.monotonic() + deadline_s
-        while not (found := condition()):
-            if time.monotonic() > deadline:
-                log = self.log.read_text(errors="replace")[-4000:] if self.log.exists() else ""
-                raise AssertionError(f"waited {deadline_s} s in vain: {what}\n{log}")
-            time.sleep(0.01)
-        return found
+        return wait_for(condition, what, deadline_s, why=self._newest_log)
+
+    def _newest_log(self) -> str:
+        return self.log.read_text(errors="replace")[-4000:] if self.log.exists() else ""
 
     def until_status(self, client: RigClient, wanted: Callable[[Status], Any], what: str) -> Status:
         """Wait for a status that is as wanted."""

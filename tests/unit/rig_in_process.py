@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
@@ -17,9 +16,9 @@ from acquire.contract.messaging.messages import Picture
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
 from acquire.rigs.build import build_rig
+from tests.waiting import DEADLINE_S, WALL_CLOCK_S, wait_for
 from tui.client.rig_client import RigClient
 
-DEADLINE_S = 30.0
 SMALL = {
     "camera.width": 64,
     "camera.height": 48,
@@ -58,7 +57,7 @@ class RigInProcess:
 
     def __exit__(self, *_: object) -> None:
         self.daemon.ending = True
-        self._thread.join(DEADLINE_S)
+        self._thread.join(WALL_CLOCK_S)
         self.daemon.close()
         self._client.close()
         for socket in self._watchers:
@@ -83,10 +82,14 @@ class RigInProcess:
 
     def until(self, wanted: Callable[[dict[str, Any]], Any], what: str) -> dict[str, Any]:
         """Ask until the status is as wanted."""
-        deadline_s = time.monotonic() + DEADLINE_S
-        while not wanted(status := self.status()):
-            assert time.monotonic() < deadline_s, f"waited {DEADLINE_S} s in vain: {what}; {status}"
-        return status
+        seen: list[dict[str, Any]] = []
+
+        def there() -> bool:
+            seen[:] = [self.status()]
+            return bool(wanted(seen[0]))
+
+        wait_for(there, what, pause=lambda: None, why=lambda: seen[0])
+        return seen[0]
 
     def watch(self) -> zmq.Socket[Any]:
         """A subscriber of the preview lane."""
@@ -98,15 +101,12 @@ class RigInProcess:
     @staticmethod
     def until_true(condition: Callable[[], Any], what: str) -> None:
         """Wait for something with a deadline."""
-        deadline_s = time.monotonic() + DEADLINE_S
-        while not condition():
-            assert time.monotonic() < deadline_s, f"waited {DEADLINE_S} s in vain: {what}"
-            time.sleep(0.005)
+        wait_for(condition, what)
 
     @staticmethod
     def picture(socket: zmq.Socket[Any]) -> tuple[Picture, bytes]:
         """The next picture."""
-        assert socket.poll(DEADLINE_S * 1000), "no picture came"
+        wait_for(lambda: socket.poll(200), "a picture")
         received = receive(socket)
         assert received is not None and isinstance(received.message, Picture) and received.payload is not None
         return received.message, received.payload.bytes

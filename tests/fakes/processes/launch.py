@@ -1,4 +1,4 @@
-"""Starts services and fakes as processes of their own, waits for facts with a deadline, leaves none behind."""
+"""Starts services and fakes as processes of their own, leaves none behind."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ import os
 import signal
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-DEADLINE_S = 30.0
+from tests.waiting import exit_status, wait_for
+
 _WRITER = (
     "import sys; from pathlib import Path;"
     "from acquire.contract.config.load import load_config; from acquire.contract.errors import SweepscopeError;"
@@ -22,18 +21,6 @@ _WRITER = (
     "try:\n    run_writer(load_config(), Path(sys.argv[1]))\n"
     "except SweepscopeError as error:\n    sys.exit(str(error))"
 )
-
-
-def wait_for(fact: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
-    """Ask until ``fact`` is true; returns it."""
-    end = time.monotonic() + deadline_s
-    while True:
-        found = fact()
-        if found:
-            return found
-        if time.monotonic() > end:
-            raise AssertionError(f"{what}: not within {deadline_s:g} s")
-        threading.Event().wait(0.002)
 
 
 class Child:
@@ -55,16 +42,19 @@ class Child:
     def kill(self) -> None:
         """SIGKILL; returns when it is gone."""
         self.process.kill()
-        self.process.wait(DEADLINE_S)
+        exit_status(self.process)
 
     def terminate(self) -> int:
         """SIGTERM; returns its exit status."""
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(DEADLINE_S)
+        return exit_status(self.process)
 
-    def result(self) -> dict[str, Any]:
-        """Wait for its end; the JSON object on its last line of output."""
-        assert self.process.wait(DEADLINE_S) == 0, self.errors
+    def result(self, *, stays: bool = False) -> dict[str, Any]:
+        """Wait for its end, or for its last line where it ``stays``; the JSON object on that line."""
+        if stays:
+            wait_for(lambda: self.log.read_text().endswith("\n"), "the result", why=lambda: self.errors)
+        else:
+            assert exit_status(self.process) == 0, self.errors
         found = json.loads(self.log.read_text().splitlines()[-1])
         assert isinstance(found, dict)
         return found

@@ -11,9 +11,10 @@ import subprocess
 import sys
 import termios
 import threading
-import time
 from pathlib import Path
 from typing import Self
+
+from tests.waiting import DEADLINE_S, exit_status, wait_for
 
 
 class PtyConsole:
@@ -51,7 +52,7 @@ class PtyConsole:
         self.stalled.clear()
         self._thread.join(5)
         self.process.kill()
-        self.process.wait(10)
+        exit_status(self.process)
         if self._master >= 0:
             os.close(self._master)
 
@@ -83,27 +84,32 @@ class PtyConsole:
         with self._changed:
             self.painted = b""
 
-    def wait_for(self, words: str, deadline_s: float = 20.0) -> None:
+    def wait_for(self, words: str, deadline_s: float = DEADLINE_S) -> None:
         """Until ``words`` was painted in one piece since :meth:`forget`."""
-        with self._changed:
-            came = self._changed.wait_for(lambda: words in self.text, deadline_s)
-        assert came, f"{words!r} never came: {self.text[-3000:]}"
+
+        def came() -> bool:
+            with self._changed:
+                return self._changed.wait_for(lambda: words in self.text, 0.2)
+
+        wait_for(came, f"{words!r} on the screen", deadline_s, why=lambda: self.text[-3000:])
 
     @property
     def text(self) -> str:
         """What was painted, without its styles."""
         return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", self.painted.decode(errors="replace"))
 
-    def stick(self, keys: bytes, deadline_s: float = 30.0) -> None:
+    def stick(self, keys: bytes) -> None:
         """Stop reading and type ``keys`` until the echoes fill the terminal's own buffer: further output blocks."""
         self.stalled.set()
-        end_s = time.monotonic() + deadline_s
-        before = -1
-        while (waiting := self._unread()) != before or waiting < 1000:
-            assert time.monotonic() < end_s, f"the output never filled the terminal: {waiting} bytes"
-            before = waiting
+        counts = [-1, self._unread()]
+
+        def full() -> bool:
             self.type(keys)
             self._ending.wait(0.3)
+            counts.append(self._unread())
+            return counts[-1] == counts[-2] >= 1000
+
+        wait_for(full, "output that fills the terminal", why=lambda: counts)
 
     def _unread(self) -> int:
         count = fcntl.ioctl(self._master, termios.FIONREAD, b"\0\0\0\0")

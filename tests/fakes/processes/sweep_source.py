@@ -36,22 +36,13 @@ from acquire.contract.process.run_dir import endpoint
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
 from acquire.writer.scan_file import ScanFile, create_scan
+from tests.waiting import output_of, wait_for
 
-DEADLINE_S = 30.0
 _WORKER = (
     "import logging, sys; from pathlib import Path; logging.basicConfig(level='INFO');"
     "from acquire.contract.config.load import load_config; from process.worker.service import run_worker;"
     "run_worker(load_config(), Path(sys.argv[1]))"
 )
-
-
-def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
-    """Poll ``condition`` until it is true; its value. AssertionError names ``what`` after the deadline."""
-    end = time.monotonic() + deadline_s
-    while not (value := condition()):
-        assert time.monotonic() < end, f"not in {deadline_s} s: {what}"
-        time.sleep(0.005)
-    return value
 
 
 def calibration_json(width: int, height: int) -> str:
@@ -176,7 +167,7 @@ class SweepSource:
         for worker in self.workers:
             if worker.poll() is None:
                 worker.terminate()
-            _, said = worker.communicate(timeout=DEADLINE_S)
+            _, said = output_of(worker)
             print(said, file=sys.stderr)  # pytest shows it when the test fails
         for listener in self.listeners:
             listener.close()
@@ -192,7 +183,7 @@ class SweepSource:
         """Start a worker process and wait until it has bound its socket."""
         (self.run_dir / "results.sock").unlink(missing_ok=True)
         worker = self.start_worker_unready()
-        wait_until(lambda: (self.run_dir / "results.sock").exists() or worker.poll() is not None, "a worker")
+        wait_for(lambda: (self.run_dir / "results.sock").exists() or worker.poll() is not None, "a worker")
         return worker
 
     def start_worker_unready(self) -> subprocess.Popen[str]:
@@ -209,7 +200,7 @@ class SweepSource:
     def kill_worker(self) -> None:
         """SIGKILL the newest worker."""
         self.workers[-1].kill()
-        self.workers[-1].communicate(timeout=DEADLINE_S)
+        output_of(self.workers[-1])
 
     def listen(self) -> Listener:
         listener = Listener(self.context, self.run_dir)
@@ -224,7 +215,8 @@ class SweepSource:
             self._live.send(probe)
             return any(progress.scan_uid == "probe" for progress in listener.poll().progress)
 
-        wait_until(answered, "the worker listens to the live lane")
+        # one at a time: a worker that is slow to answer finds no queue of them that hides what comes next
+        wait_for(answered, "the worker listens to the live lane", pause=lambda: time.sleep(0.1))
 
     # ---- the scan ----
 
@@ -301,4 +293,4 @@ class SweepSource:
             self.say_status()
             return condition()
 
-        return wait_until(turn, what)
+        return wait_for(turn, what)

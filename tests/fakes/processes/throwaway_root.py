@@ -9,14 +9,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-from tests import ROOT
+from tests import ROOT, waiting
 
 REPOSITORY = ROOT
 PACKAGES = Path(next(path for path in sys.path if path.endswith("site-packages")))
@@ -95,7 +94,7 @@ class ThrowawayRoot:
         if self._init and psutil.pid_exists(self._init):
             os.kill(self._init, 9)  # the kernel ends everything in the namespace with its first process
         self._outer.kill()
-        self._outer.wait(20)
+        waiting.exit_status(self._outer)
 
     def _booted(self) -> bool:
         assert self._outer is not None
@@ -114,9 +113,7 @@ class ThrowawayRoot:
         enter = ["nsenter", "-t", str(self._init), "-m", "-p", "-i", "-u", "-C", "-r", "-w"]
         clean = {"PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LANG": "C.UTF-8"} | environ
         become = ["runuser", "-u", user, "--"] if user != "root" else []
-        done = subprocess.run(
-            [*enter, *become, *words], env=clean, capture_output=True, text=True, timeout=deadline_s, check=False
-        )
+        done = waiting.run([*enter, *become, *words], deadline_s, env=clean)
         if check and done.returncode:
             raise AssertionError(f"{' '.join(words)}: status {done.returncode}\n{done.stdout}\n{done.stderr}")
         return done
@@ -141,9 +138,4 @@ class ThrowawayRoot:
 
     def until(self, fact: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
         """Ask until it is true."""
-        end = time.monotonic() + deadline_s
-        while not (found := fact()):
-            if time.monotonic() > end:
-                raise AssertionError(f"waited {deadline_s} s in vain: {what}\n{self._log.read_text()[-2000:]}")
-            time.sleep(0.05)
-        return found
+        return waiting.wait_for(fact, what, deadline_s, why=lambda: self._log.read_text()[-2000:])

@@ -13,15 +13,15 @@ from types import TracebackType
 from urllib.parse import parse_qs, urlsplit
 
 from tests import ROOT
+from tests.waiting import WALL_CLOCK_S, output_of, wait_for
 
 _PROGRAM = """
 import json, sys
 from pathlib import Path
-from acquire.contract.config import load_config
-from process.viewer import run_viewer
+from acquire.contract.config.load import load_config
+from process.viewer.service import run_viewer
 run_viewer(load_config(overrides=json.loads(sys.argv[2])), Path(sys.argv[1]))
 """
-START_S = 30
 
 
 class ViewerProcess:
@@ -39,11 +39,13 @@ class ViewerProcess:
             cwd=ROOT,
         )
         assert self.process.stdout is not None
-        readable, _, _ = select.select([self.process.stdout], [], [], START_S)
-        self.url = self.process.stdout.readline().strip() if readable else ""
-        if not self.url:
+        try:
+            wait_for(lambda: select.select([self.process.stdout], [], [], 0.2)[0], "the viewer's address")
+            self.url = self.process.stdout.readline().strip()
+            assert self.url, "it ended"
+        except AssertionError as error:
             self.process.kill()
-            raise AssertionError(f"the viewer did not start: {self.process.communicate()[1]}")
+            raise AssertionError(f"the viewer did not start: {error}; {self.process.communicate()[1]}") from None
         self.port = urlsplit(self.url).port or 0
         self.token = parse_qs(urlsplit(self.url).query)["token"][0]
 
@@ -56,7 +58,7 @@ class ViewerProcess:
     def end(self) -> tuple[int, str]:
         """SIGTERM; exit status and everything on stderr."""
         self.process.send_signal(signal.SIGTERM)
-        _, errors = self.process.communicate(timeout=10)
+        _, errors = output_of(self.process)
         return self.process.returncode, errors
 
     def __enter__(self) -> ViewerProcess:
@@ -74,7 +76,7 @@ def request(port: int, target: str = "/", **headers: str) -> tuple[int, dict[str
     """Status and headers (lower case) of one GET; ``Host`` is the own one unless given."""
     lines = {"Host": f"127.0.0.1:{port}"} | {name.replace("_", "-"): text for name, text in headers.items()}
     text = f"GET {target} HTTP/1.1\r\n" + "".join(f"{name}: {value}\r\n" for name, value in lines.items()) + "\r\n"
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
+    with socket.create_connection(("127.0.0.1", port), timeout=WALL_CLOCK_S) as connection:
         connection.sendall(text.encode())
         answer = b""
         while b"\r\n\r\n" not in answer:

@@ -13,6 +13,7 @@ import pytest
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import FakeDaemon
+from tests.waiting import output_of, run
 
 SUBCOMMANDS = [
     *("daemon", "writer", "worker", "viewer", "console", "up", "demo"),
@@ -26,7 +27,7 @@ def sweepscope(*arguments: str, run_dir: Path | None = None, **environ: str) -> 
     environ |= {"SWEEPSCOPE_RUN": str(run_dir or "/nonexistent")}
     command = [sys.executable, "-m", "tui.cli", *arguments]
     environ = {**os.environ, **environ}
-    return subprocess.run(command, check=False, env=environ, capture_output=True, text=True, timeout=60)
+    return run(command, env=environ)
 
 
 def assert_one_line(done: subprocess.CompletedProcess[str], *words: str) -> None:
@@ -48,7 +49,7 @@ def test_help_loads_none_of_the_heavy_libraries():
         "heavy = {'numpy', 'h5py', 'cv2', 'numba', 'zmq', 'textual', 'viser', 'rich', 'msgspec'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)
+    run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
@@ -179,9 +180,10 @@ def test_a_scan_that_is_waited_for_ends_with_0_when_complete(run_dir):
 def test_a_scan_that_is_stopped_while_it_is_waited_for_ends_with_4(run_dir):
     with FakeDaemon(run_dir, frames_per_tick=1, expected=10_000) as daemon:
         command = [sys.executable, "-m", "tui.cli", "scan", "--wait"]
-        waiting = subprocess.Popen(command, env={**os.environ, "SWEEPSCOPE_RUN": str(run_dir)}, stdout=subprocess.PIPE)
+        environ = {**os.environ, "SWEEPSCOPE_RUN": str(run_dir)}
+        waiting = subprocess.Popen(command, env=environ, stdout=subprocess.PIPE, text=True)
         daemon.asked("scan")
         sweepscope("stop", run_dir=run_dir)
-        said, _ = waiting.communicate(timeout=20)
+        said, _ = output_of(waiting)
         assert waiting.returncode == 4
-        assert b"stopped: " in said
+        assert "stopped: " in said

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +14,10 @@ from acquire.contract.states import State
 from tests.fakes.fake_daemon import FakeDaemon
 from tests.fakes.processes.launch import bench_at
 from tests.unit.rig_in_process import RigInProcess
+from tests.waiting import Stopwatch, run, still_alive, wait_for
+
+SLOW_S = 100.0
+"""Services start, and child processes compile and compute, before some words appear."""
 
 
 class Terminal:
@@ -28,7 +30,7 @@ class Terminal:
 
     def _do(self, *arguments: str) -> str:
         command = [*self._tmux, *arguments]
-        return subprocess.run(command, check=True, env=self._environ, capture_output=True, text=True, timeout=10).stdout
+        return run(command, check=True, env=self._environ).stdout
 
     def open(self, *command: str, width: int = 80, height: int = 24) -> None:
         shell = " ".join(command) + "; echo STATUS=$?; exec sleep 60"
@@ -44,23 +46,20 @@ class Terminal:
     def screen(self) -> str:
         return self._do("capture-pane", "-p")
 
-    def wait_for(self, *words: str, deadline_s: float = 10.0) -> str:
-        end_s = time.monotonic() + deadline_s
-        while True:
-            screen = self.screen
-            if all(word in screen for word in words):
-                return screen
-            assert time.monotonic() < end_s, f"{words} never came:\n{screen}"
-            time.sleep(0.05)
+    def wait_for(self, *words: str) -> str:
+        """The screen, once all words are on it."""
 
-    def wait_until_gone(self, word: str, deadline_s: float = 10.0) -> None:
-        end_s = time.monotonic() + deadline_s
-        while word in self.screen:
-            assert time.monotonic() < end_s, f"{word} stayed:\n{self.screen}"
-            time.sleep(0.05)
+        def shown() -> str:
+            screen = self.screen
+            return screen if all(word in screen for word in words) else ""
+
+        return wait_for(shown, f"{words} on the screen", SLOW_S, why=lambda: self.screen)
+
+    def wait_until_gone(self, word: str) -> None:
+        wait_for(lambda: word not in self.screen, f"a screen without {word}", why=lambda: self.screen)
 
     def close(self) -> None:
-        subprocess.run([*self._tmux, "kill-server"], check=False, capture_output=True, timeout=10)
+        run([*self._tmux, "kill-server"])
 
 
 @pytest.fixture
@@ -97,7 +96,7 @@ def test_a_whole_session_in_a_real_terminal_from_the_preview_to_the_stop(termina
         terminal.press("s")
         terminal.wait_for("start a sweep")
         terminal.press("ear", "Enter")
-        terminal.wait_for("SWEEPING", "frames/s", "remaining", deadline_s=40.0)
+        terminal.wait_for("SWEEPING", "frames/s", "remaining")
         terminal.press("p")
         terminal.wait_for("HOLDING (paused)")
         terminal.press("r")
@@ -115,9 +114,9 @@ def test_the_console_starts_without_a_daemon_and_reconnects_by_itself(terminal, 
     terminal.wait_for("NOT CONNECTED - RETRYING")
     with FakeDaemon(run_dir):
         terminal.wait_for("IDLE", "s start")
-    begin_s = time.monotonic()
+    watch = Stopwatch()
     terminal.wait_for("last known: IDLE")
-    assert time.monotonic() - begin_s < 2.5
+    assert watch.elapsed_s < 2.5
     with FakeDaemon(run_dir):
         terminal.wait_for("IDLE", "s start")
     terminal.press("q")
@@ -146,7 +145,7 @@ def test_a_window_resized_in_mid_sweep_keeps_showing_it_and_stop_works_when_it_i
 def test_the_demonstration_opens_the_console_starts_at_once_asks_before_it_ends_and_ends_all(terminal, tmp_path):
     demo = (sys.executable, "-m", "tui.cli", "demo", "--size", "128x96", "--data-dir", str(tmp_path / "data"))
     terminal.open(*demo, width=100, height=30)
-    screen = terminal.wait_for("SWEEPING", "frames/s", "?token=", deadline_s=100.0)
+    screen = terminal.wait_for("SWEEPING", "frames/s", "?token=")
     assert "http://127.0.0.1:" in screen
     services = [child for child in psutil.process_iter() if str(tmp_path) in _open_logs(child)]
     assert len(services) == 4
@@ -156,13 +155,14 @@ def test_the_demonstration_opens_the_console_starts_at_once_asks_before_it_ends_
     terminal.wait_until_gone("y  end it and leave")
     terminal.press("q")
     terminal.wait_for("y  end it and leave")
-    end_s = time.monotonic() + 10.0
-    while "y  end it and leave" in terminal.screen:  # what is typed before it can be read does not count
-        assert time.monotonic() < end_s
+
+    def answered() -> bool:  # what is typed before it can be read does not count
         terminal.press("y")
-    terminal.wait_for("page     http://127.0.0.1:", "STATUS=0", deadline_s=40.0)
-    _, alive = psutil.wait_procs(services, timeout=5)
-    assert not alive
+        return "y  end it and leave" not in terminal.screen
+
+    wait_for(answered, "an end of the question")
+    terminal.wait_for("page     http://127.0.0.1:", "STATUS=0")
+    assert still_alive(services) == []
 
 
 def _open_logs(process: psutil.Process) -> str:

@@ -8,8 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -18,6 +17,7 @@ import pytest
 from acquire.contract.process.run_dir import is_served
 from acquire.contract.states import State
 from tests import ROOT
+from tests.waiting import WALL_CLOCK_S, exit_status, output_of, run, still_alive, wait_for
 from tui.client.rig_client import RigClient
 
 SERVICES = {"daemon", "writer", "worker", "viewer"}
@@ -35,13 +35,6 @@ time_scale = 0.05
 [viewer]
 port = 0
 """
-
-
-def wait(happened: Callable[[], object], deadline_s: float = 40.0) -> None:
-    end_s = time.monotonic() + deadline_s
-    while not happened():
-        assert time.monotonic() < end_s, "it did not happen in time"
-        time.sleep(0.05)
 
 
 def services_of(pid: int) -> dict[str, psutil.Process]:
@@ -76,14 +69,14 @@ class Up:
     def end(self) -> None:
         if self.process.poll() is None:
             self.process.terminate()
-            self.process.wait(40)
+            exit_status(self.process)
 
 
 @pytest.fixture
 def up(tmp_path: Path, run_dir: Path) -> Iterator[Up]:
     running = Up(tmp_path, run_dir)
     try:
-        wait(running.ready)
+        wait_for(running.ready, "all services", why=running.log.read_text)
         yield running
     finally:
         running.end()
@@ -93,28 +86,28 @@ def test_a_killed_service_is_started_again_the_page_is_told_and_sigterm_ends_all
     assert "http://127.0.0.1:" in up.log.read_text()
     before = services_of(up.process.pid)
     before["writer"].kill()
-    wait(lambda: services_of(up.process.pid).get("writer", before["writer"]).pid != before["writer"].pid)
+    writer = before["writer"]
+    wait_for(lambda: services_of(up.process.pid).get("writer", writer).pid != writer.pid, "another writer")
     assert "writer was killed by SIGKILL" in up.log.read_text()
     with RigClient(up.run_dir) as client:
-        assert client.wait_for(lambda status: status.writer_alive and status.state == State.IDLE, 10.0) is not None
+        ready = client.wait_for(lambda status: status.writer_alive and status.state == State.IDLE, WALL_CLOCK_S)
+        assert ready is not None
     up.process.send_signal(signal.SIGTERM)
-    assert up.process.wait(30) == 0
-    gone, alive = psutil.wait_procs(list(before.values()), timeout=5)
-    assert not alive and len(gone) == len(SERVICES)
+    assert exit_status(up.process) == 0
+    assert len(before) == len(SERVICES) and still_alive(before.values()) == []
 
 
 def test_a_killed_parent_leaves_no_orphan(up):
     children = list(services_of(up.process.pid).values())
     up.process.kill()
     up.process.wait()
-    _, alive = psutil.wait_procs(children, timeout=20)
-    assert not alive
+    assert still_alive(children) == []
 
 
 def test_a_second_up_in_the_same_place_is_refused(up, tmp_path):
     (tmp_path / "second").mkdir()
     second = Up(tmp_path / "second", up.run_dir)
-    assert second.process.wait(20) == 1
+    assert exit_status(second.process) == 1
     said = second.log.read_text()
     assert said.startswith("sweepscope: a daemon already runs in") and said.count("\n") == 1
 
@@ -124,10 +117,7 @@ def test_the_demonstration_without_a_terminal_succeeds_and_leaves_nothing_runnin
     command = [sys.executable, "-m", "tui.cli", "demo", *arguments]
     (tmp_path / "rig.toml").write_text("this is not TOML")
     root = str(ROOT)
-    done = subprocess.run(
-        command, check=False, cwd=tmp_path, env={**os.environ, "PYTHONPATH": root}, stdin=subprocess.DEVNULL,
-        capture_output=True, text=True, timeout=100,
-    )  # fmt: skip
+    done = run(command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": root}, stdin=subprocess.DEVNULL)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
     for words in ("SWEEPING", "SAVED: 100 of 100", "visible pixels", "median", "timings", "cloud.ply", "?token="):
@@ -149,9 +139,8 @@ def test_the_demonstration_that_is_interrupted_keeps_what_was_taken(tmp_path):
             break
     children = list(services_of(running.pid).values())
     running.send_signal(signal.SIGINT)
-    said, _ = running.communicate(timeout=40)
+    said, _ = output_of(running)
     assert running.returncode == 130
     assert "cancelled; what was taken is kept" in said
-    _, alive = psutil.wait_procs(children, timeout=5)
-    assert not alive
+    assert still_alive(children) == []
     assert list((tmp_path / "demo-data").glob("*/scan.h5"))

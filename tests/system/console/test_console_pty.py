@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, FakeDaemon
 from tests.fakes.processes.pty_console import PtyConsole
+from tests.waiting import Stopwatch, exit_status
 
 
 def test_stop_reaches_the_daemon_while_the_terminal_takes_nothing(run_dir):
@@ -27,17 +26,17 @@ def test_on_a_link_of_100_kB_per_s_keys_are_echoed_and_the_picture_gives_way(run
     ):
         console.wait_for("IDLE")
         daemon.show_pictures = True
-        console.wait_for("coarser", deadline_s=40.0)
+        console.wait_for("coarser")
         echoes = [_echo_s(console, key, words) for key, words in ((b"]", "100"), (b"]", "300"), (b"[", "100"))]
         assert sorted(echoes)[1] < 3.0  # seconds of stale pictures would be far above; the figure is in the bench
 
 
 def _echo_s(console: PtyConsole, key: bytes, words: str) -> float:
     console.forget()
-    begin_s = time.monotonic()
+    watch = Stopwatch()
     console.type(key)
     console.wait_for(words)
-    return time.monotonic() - begin_s
+    return watch.elapsed_s
 
 
 def test_a_terminal_that_is_gone_ends_the_console_and_not_the_sweep(run_dir):
@@ -49,5 +48,5 @@ def test_a_terminal_that_is_gone_ends_the_console_and_not_the_sweep(run_dir):
         console.wait_for("SWEEPING")
         console.hang_up()
         console.process.send_signal(1)
-        console.process.wait(20)
+        exit_status(console.process)
         assert daemon.status.state == State.SWEEPING and "stop" not in [name for name, _ in daemon.commands]

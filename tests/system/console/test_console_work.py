@@ -18,8 +18,6 @@ from tests.unit.rig_in_process import RigInProcess
 from tui.console.calibration.session import BoardWords, CalibrationSession
 
 __all__ = ["terminal"]
-SLOW_S = 90.0
-"""Children compile and compute; two slow cores may take so long."""
 
 
 def at(terminal: Terminal, data_dir) -> Terminal:
@@ -31,13 +29,13 @@ def test_a_scan_is_reprocessed_and_its_maps_are_looked_at(terminal, tmp_path):
     folder = make_scan(tmp_path / "ear", 40, count=40)
     at(terminal, tmp_path).open(*CONSOLE)
     terminal.press("4")
-    terminal.wait_for("SAVED", "ear", deadline_s=20.0)
+    terminal.wait_for("SAVED", "ear")
     terminal.press("m")
-    terminal.wait_for("maps, no cloud", deadline_s=SLOW_S)
+    terminal.wait_for("maps, no cloud")
     assert (folder / "maps.h5").is_file()
     terminal.wait_for("o open")
     terminal.press("o")
-    terminal.wait_for("ear (maps.h5)", "crossing time", "pixels over it", deadline_s=20.0)
+    terminal.wait_for("ear (maps.h5)", "crossing time", "pixels over it")
     terminal.press("}")
     terminal.wait_for("contrast  80")
     terminal.press("q")
@@ -60,17 +58,17 @@ def test_a_camera_is_calibrated_with_a_view_that_is_captured_from_the_terminal(t
         rig.ask("lamp", on=True)
         rig.ask("preview", on=True, rate_hz=10)
         at(terminal, tmp_path).open(*CONSOLE, width=160, height=50)
-        terminal.wait_for("PREVIEW", deadline_s=20.0)
+        terminal.wait_for("PREVIEW")
         terminal.press("3")
-        terminal.wait_for("left side higher", deadline_s=SLOW_S)
+        terminal.wait_for("left side higher")
         terminal.press("P")
-        terminal.wait_for("): a new view", deadline_s=SLOW_S)
+        terminal.wait_for("): a new view")
         terminal.press("c")
-        terminal.wait_for("view-03 flat", deadline_s=SLOW_S)
+        terminal.wait_for("view-03 flat")
         terminal.press("g")
-        terminal.wait_for("px RMS, 3 of 3 views used", deadline_s=SLOW_S)
+        terminal.wait_for("px RMS, 3 of 3 views used")
         terminal.press("q")
-        terminal.wait_for("STATUS=0", deadline_s=20.0)
+        terminal.wait_for("STATUS=0")
     assert session.document()["camera"]["width"] == 256
 
 
@@ -99,19 +97,19 @@ def test_the_light_plane_is_calibrated_from_the_terminal_with_sweeps_over_the_bo
         rig.start("daemon", "writer")
         rig.client().close()
         terminal.open(*CONSOLE, width=160, height=50)
-        terminal.wait_for("IDLE", deadline_s=20.0)
+        terminal.wait_for("IDLE")
         terminal.press("3", "m")
         for number in (1, 2):
             terminal.press("P")
-            terminal.wait_for(f"tilted by {0 if number == 1 else 12} and 0 degrees", deadline_s=SLOW_S)
+            terminal.wait_for(f"tilted by {0 if number == 1 else 12} and 0 degrees")
             terminal.press("e")
-            terminal.wait_for("of full scale; locked", deadline_s=SLOW_S)
+            terminal.wait_for("of full scale; locked")
             terminal.press("w")
-            terminal.wait_for(f"board-{number}  SAVED", deadline_s=SLOW_S)
+            terminal.wait_for(f"board-{number}  SAVED")
         terminal.press("g")
-        terminal.wait_for("PASSED: 2 surfaces", deadline_s=SLOW_S)
+        terminal.wait_for("PASSED: 2 surfaces")
         terminal.press("q")
-        terminal.wait_for("STATUS=0", deadline_s=20.0)
+        terminal.wait_for("STATUS=0")
     finally:
         rig.close()
     found, _ = load_calibration(CalibrationSession(tmp_path).result)

@@ -22,10 +22,9 @@ from acquire.remote.keys import KeyPair, allow, make_pair, revoke, signature_of
 from acquire.remote.tunnel import Tunnel
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
 from tests.fakes.processes.ports import free_port
+from tests.waiting import DEADLINE_S, WALL_CLOCK_S, wait_for
 from tui.cli import run
 from tui.client.rig_client import ProgressFeed, RigClient
-
-DEADLINE_S = 20.0
 
 
 @dataclass
@@ -48,7 +47,7 @@ def serve(gateway: Gateway, stack: ExitStack) -> None:
 
     def end() -> None:
         stop.set()
-        thread.join(DEADLINE_S)
+        thread.join(WALL_CLOCK_S)
         gateway.close()
 
     stack.callback(end)
@@ -67,23 +66,15 @@ def far(run_dir: Path, tmp_path: Path) -> Iterator[Far]:
         yield Far(gateway, daemon, tmp_path, pairs)
 
 
-def until(fact, what: str):
-    end_s = time.monotonic() + DEADLINE_S
-    while not (found := fact()):
-        assert time.monotonic() < end_s, f"waited in vain: {what}"
-        time.sleep(0.02)
-    return found
-
-
 def test_the_right_key_hears_and_steers(far: Far) -> None:
     far.daemon.progress = PROGRESS
     with far.tunnel("ann") as tunnel:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         feed = ProgressFeed(tunnel.run_dir)
         with RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
             assert client.status().state == "idle"
             assert client.request("scan", name="ear").result["scan_uid"] == "uid-ear"
-        until(lambda: feed.newest() == PROGRESS or feed.newest() is not None, "progress")
+        wait_for(lambda: feed.newest() == PROGRESS or feed.newest() is not None, "progress")
         feed.close()
     assert far.daemon.commands == [("scan", {"name": "ear"})]
 
@@ -91,7 +82,7 @@ def test_the_right_key_hears_and_steers(far: Far) -> None:
 def test_an_unknown_key_is_refused_in_words_and_hears_nothing(far: Far) -> None:
     with far.tunnel("stranger") as tunnel:
         with pytest.raises(NoServiceError, match="does not know this key"):
-            tunnel.wait(DEADLINE_S)
+            tunnel.wait(WALL_CLOCK_S)
         with RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
             assert client.newest_status(0.3) is None
             with pytest.raises(CommandRefusedError, match="does not know this key"):
@@ -102,12 +93,12 @@ def test_an_unknown_key_is_refused_in_words_and_hears_nothing(far: Far) -> None:
 def test_a_client_that_takes_another_for_the_rig_tells_it_nothing(far: Far) -> None:
     refused = pytest.raises(NoServiceError, match="--server-key")
     with far.tunnel("ann", server_key=far.pairs["stranger"].public) as tunnel, refused:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
 
 
 def test_a_key_that_may_only_watch_hears_and_does_not_steer(far: Far) -> None:
     with far.tunnel("watcher") as tunnel:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         with RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
             assert client.status().state == "idle"
             for name in ("scan", "stop", "goto"):
@@ -132,47 +123,47 @@ def test_without_any_key_no_lane_answers(far: Far) -> None:
         mouth = stack.enter_context(plain(context, zmq.DEALER, far.gateway.address.endpoint("command")))
         mouth.send(b"stop")
         with far.tunnel("ann") as tunnel:  # somebody with a key is let in meanwhile, and hears
-            tunnel.wait(DEADLINE_S)
+            tunnel.wait(WALL_CLOCK_S)
         assert [ear.poll(0) for ear in (*ears, mouth)] == [0] * 4
     assert far.daemon.commands == []
 
 
 def test_a_key_that_is_revoked_is_cut_off_at_once_and_may_come_back(far: Far) -> None:
     with far.tunnel("ann") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         client.status()
         revoke(far.folder, "ann")
-        until(lambda: client.newest_status(0.3) is None, "silence")
+        wait_for(lambda: client.newest_status(0.3) is None, "silence")
         with pytest.raises(CommandRefusedError):
             client.request("pause")
         assert far.daemon.commands == []
     allow(far.folder, "ann", far.pairs["ann"].public, "steer")
-    until(lambda: far.pairs["ann"].public in far.gateway.guard.by_key, "the list is read")
+    wait_for(lambda: far.pairs["ann"].public in far.gateway.guard.by_key, "the list is read")
     with far.tunnel("ann") as tunnel:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
 
 
 def test_a_list_that_cannot_be_read_lets_nobody_in(far: Far) -> None:
     (far.folder / "allowed.toml").write_text("[ann")
-    until(lambda: not far.gateway.guard.by_key, "nobody is let in")
+    wait_for(lambda: not far.gateway.guard.by_key, "nobody is let in")
     with far.tunnel("ann") as tunnel, pytest.raises(NoServiceError, match="does not know this key"):
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
 
 
 def test_who_holds_control_from_far_away_knows_itself_and_others_know_the_key(far: Far) -> None:
     mine = "anna on pts/3"
     far.daemon.show(control=mine + signature_of(far.pairs["ann"].public))
     with far.tunnel("ann") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         assert client.status().control == mine
     with far.tunnel("watcher") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         assert client.status().control.startswith(f"{mine} via key ")
 
 
 def test_shutting_down_is_not_taken_from_another_machine(far: Far) -> None:
     with far.tunnel("ann") as tunnel, RigClient(tunnel.run_dir, timeout_s=DEADLINE_S) as client:
-        tunnel.wait(DEADLINE_S)
+        tunnel.wait(WALL_CLOCK_S)
         with pytest.raises(CommandRefusedError, match="not taken from another machine"):
             client.request("shutdown")
     assert far.daemon.commands == []
@@ -192,12 +183,12 @@ def test_commands_carry_the_rigs_clock_and_the_name_of_the_key(run_dir: Path, tm
         serve(gateway, stack)
         tunnel = stack.enter_context(Tunnel(gateway.address, gateway.public_key, ann))
         before_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
-        until(lambda: _say(status, far_ns) or tunnel._ahead_ns is not None, "the rig's clock is known")
-        tunnel.wait(DEADLINE_S)
+        wait_for(lambda: _say(status, far_ns) or tunnel._ahead_ns is not None, "the rig's clock is known")
+        tunnel.wait(WALL_CLOCK_S)
         mine = stack.enter_context(connect(context, zmq.DEALER, tunnel.run_dir, "command"))
         sent_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) - old_ns
         mine.send(_encoded(Command(request_id="r1", name="goto", client="anna on pts/3", sent_mono_ns=sent_ns)))
-        assert commands.poll(DEADLINE_S * 1000)
+        assert commands.poll(WALL_CLOCK_S * 1000)
         taken = receive(commands)
         after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)  # the last status came between before and after
         assert taken is not None and isinstance(taken.message, Command)

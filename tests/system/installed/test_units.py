@@ -5,7 +5,6 @@ from __future__ import annotations
 import configparser
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -13,6 +12,7 @@ import pytest
 from acquire.contract.config.model import LimitsConfig
 from tests import ROOT
 from tests.conftest import need
+from tests.waiting import run
 
 UNITS = ROOT / "systemd" / "system"
 SERVICES = sorted(path.name for path in UNITS.glob("*.service"))
@@ -38,9 +38,7 @@ def units(tmp_path: Path) -> Path:
 
 def complaints(analyze: str, *paths: Path) -> str:
     # an unknown key does not change the exit status: only what is said counts
-    done = subprocess.run(
-        [analyze, "verify", "--man=no", *map(str, paths)], capture_output=True, text=True, timeout=60, check=False
-    )
+    done = run([analyze, "verify", "--man=no", *paths])
     return "\n".join(line for line in done.stderr.splitlines() if "sweepscope" in line)
 
 
@@ -57,7 +55,7 @@ def test_a_misspelt_key_would_be_noticed(analyze: str, units: Path) -> None:
 @pytest.mark.parametrize("service", SERVICES)
 def test_no_service_is_more_exposed_than_two_of_ten(analyze: str, service: str) -> None:
     command = [analyze, "security", "--offline=true", "--no-pager", str(UNITS / service)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = run(command)
     score = re.search(r"exposure level for \S+: ([0-9.]+)", done.stdout + done.stderr)
     assert score, done.stdout + done.stderr
     assert float(score[1]) <= WORST

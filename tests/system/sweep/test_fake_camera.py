@@ -12,9 +12,10 @@ import pytest
 
 from process.results.reconstruct import reconstruct
 from process.results.settings import ReconstructOptions
-from tests.fakes.processes.launch import Bench, bench_at, wait_for
+from tests.fakes.processes.launch import Bench, bench_at
 from tests.system.viewer.test_browser import ARGUMENTS
 from tests.system.writer.test_writer import assert_file_equals_witness
+from tests.waiting import WALL_CLOCK_S, wait_for
 
 FRAMES = 120
 
@@ -45,7 +46,7 @@ def assert_live_equals_reconstruct(bench: Bench, tmp_path: Path) -> None:
 def test_whatever_the_live_lane_loses_the_worker_ends_with_what_the_file_holds(bench: Bench, tmp_path: Path, loss):
     service(bench, "worker")
     bench.writer()
-    bench.camera(FRAMES, loss=loss, bad=0.05, duplicate=0.1, delay_ms=4, seed=3).result()
+    bench.camera(FRAMES, loss=loss, bad=0.05, duplicate=0.1, delay_ms=4, seed=3, stay=1).result(stays=True)
     assert_file_equals_witness(bench, FRAMES, seed=3)
     counts = report_of(bench)["counts"]
     assert counts["frames"] == FRAMES and counts["from_live"] + counts["from_file"] == FRAMES
@@ -66,8 +67,9 @@ def test_the_page_follows_a_sweep_of_the_fake_camera_to_its_end(bench: Bench, ch
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=ARGUMENTS)
         page = browser.new_page()
+        page.set_default_timeout(WALL_CLOCK_S * 1000)
         page.goto(address.read_text().strip())
-        camera = bench.camera(FRAMES, loss=0.05, delay_ms=20)
-        page.get_by_text(f"{FRAMES} of {FRAMES}").first.wait_for(timeout=30_000)
-        camera.result()
+        camera = bench.camera(FRAMES, loss=0.05, delay_ms=20, stay=1)
+        page.get_by_text(f"{FRAMES} of {FRAMES}").first.wait_for()
+        camera.result(stays=True)
         browser.close()

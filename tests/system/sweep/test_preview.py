@@ -10,6 +10,7 @@ import zmq
 from acquire.contract.messaging.lanes import connect, receive
 from acquire.contract.messaging.messages import Picture
 from tests.system.appliance import Appliance
+from tests.waiting import WALL_CLOCK_S
 
 COUNT = 1578 // 12 + 1
 
@@ -29,7 +30,7 @@ def test_who_looks_sees_the_sweep_and_who_never_reads_delays_nothing(appliance):
         watcher, sleeper = (connect(context, zmq.SUB, appliance.run_dir, "preview") for _ in range(2))
         begin_s = time.monotonic()
         scan = appliance.scan(client, purpose="raw")
-        assert watcher.poll(60_000)
+        assert watcher.poll(WALL_CLOCK_S * 1000)
         picture = receive(watcher).message
         status = appliance.finished(client, scan["scan_uid"])
         seconds = time.monotonic() - begin_s

@@ -28,6 +28,7 @@ from acquire.stages.simulated import SimulatedStage
 from tests.fakes.triggered_genicam import CLOCK_AHEAD_NS, FIRST_ID, LINE, SERIAL, TriggeredCamera
 from tests.system.appliance import Appliance
 from tests.unit.rig_in_process import RigInProcess
+from tests.waiting import next_of
 
 WIDTH, HEIGHT = 64, 48
 CONFIG = CameraConfig(kind="genicam", device=SERIAL, producer=__file__, trigger=LINE, width=WIDTH, height=HEIGHT)
@@ -63,7 +64,7 @@ def driver(device):
 
 
 def frames(events: queue.Queue[Any], count: int) -> list[CameraFrame]:
-    return [events.get(timeout=10) for _ in range(count)]
+    return [next_of(events) for _ in range(count)]
 
 
 def test_once_armed_each_pulse_of_the_wire_gives_its_own_picture_and_ids_that_count(device, driver):
@@ -123,14 +124,14 @@ def test_a_cable_that_is_pulled_is_told_in_words_and_the_camera_is_set_up_as_it_
     camera, events = driver
     camera.arm()
     device.vanish(silent=silent)
-    gone = events.get(timeout=10)
+    gone = next_of(events)
     assert isinstance(gone, CameraGone) and not gone.back and "no device" in gone.detail and "x.cpp" not in gone.detail
     with pytest.raises(CameraLostError, match="the camera"):
         camera.snap()
     with pytest.raises(CameraLostError, match="the camera"):
         camera.configure(CameraSettings(1.0, 0.0, 0.0))
     device.come_back()
-    assert events.get(timeout=10) == CameraGone("", back=True)
+    assert next_of(events) == CameraGone("", back=True)
     assert device.nodes["ExposureTime"].value == 7000.0 and device.opened == 2
     fetches = device.fetches
     RigInProcess.until_true(lambda: device.fetches > fetches + 2, "it is read again")
@@ -150,12 +151,12 @@ def test_a_camera_that_runs_freely_is_told_as_gone_looked_for_and_serves_shots_w
         camera.configure(CameraSettings(7.0, 3.0, 0.0))
         device.still_listed = listed
         device.vanish(silent=silent)
-        gone = events.get(timeout=10)
+        gone = next_of(events)
         assert isinstance(gone, CameraGone) and not gone.back and gone.detail
         looked = device.looked
         RigInProcess.until_true(lambda: device.looked > looked + 1, "it is looked for more than once")
         device.come_back()
-        assert events.get(timeout=10) == CameraGone("", back=True)
+        assert next_of(events) == CameraGone("", back=True)
         camera.snap()
         assert np.array_equal(frames(events, 1)[0].pixels, picture(0))
         assert device.nodes["ExposureTime"].value == 7000.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.server
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 from acquire.contract.faults import report
 from tests.fakes.fake_results import PLAN, SCAN_UID, FakeRig, hill_tiles
 from tests.fakes.processes.viewer_process import ViewerProcess
+from tests.waiting import WALL_CLOCK_S, wait_for
 
 ARGUMENTS = [
     "--no-sandbox",
@@ -29,7 +29,6 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-DEADLINE_S = 60
 PICTURE = np.s_[190:610, 0:560]
 """Rows and columns of the screenshot that show the scene alone: no panel, no notices."""
 SWEEPING = {
@@ -70,7 +69,7 @@ def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ViewerPro
 @pytest.fixture(scope="module")
 def page(browser: Any, viewer: tuple[ViewerProcess, Path]) -> Iterator[Any]:
     page = browser.new_page(viewport={"width": 900, "height": 620})
-    page.set_default_timeout(DEADLINE_S * 1000)
+    page.set_default_timeout(WALL_CLOCK_S * 1000)
     page.goto(viewer[0].url)
     page.wait_for_selector(".sw-state")
     yield page
@@ -94,10 +93,12 @@ def violet(page: Any) -> int:
 
 
 def until_violet(page: Any) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while (seen := violet(page)) < 2_500:
-        assert time.monotonic() < deadline, f"{seen} pixels in the colours of low ground"
-        page.wait_for_timeout(200)
+    wait_for(
+        lambda: violet(page) >= 2_500,
+        "2500 pixels in the colours of low ground",
+        pause=lambda: page.wait_for_timeout(200),
+        why=lambda: violet(page),
+    )
 
 
 def open_tab(page: Any, name: str) -> None:
@@ -105,13 +106,18 @@ def open_tab(page: Any, name: str) -> None:
 
 
 def until_drawn(page: Any, settled_over: int, provisional_at_least: int = 0) -> tuple[int, int]:
-    deadline = time.monotonic() + DEADLINE_S
-    while True:
+    def enough() -> tuple[int, int] | None:
         seen = pixels(page)
-        if seen[0] > settled_over and seen[1] >= provisional_at_least:
-            return seen
-        assert time.monotonic() < deadline, f"settled, provisional pixels: {seen}"
-        page.wait_for_timeout(100)
+        return seen if seen[0] > settled_over and seen[1] >= provisional_at_least else None
+
+    found = wait_for(
+        enough,
+        f"{settled_over} settled and {provisional_at_least} provisional pixels",
+        pause=lambda: page.wait_for_timeout(100),
+        why=lambda: pixels(page),
+    )
+    assert found is not None
+    return found
 
 
 def test_the_cloud_grows_in_the_browser_and_provisional_points_look_provisional(
@@ -167,7 +173,7 @@ def test_another_colour_changes_the_picture_and_survives_a_reload_and_a_second_b
         until_violet(page)
         assert rig.commands == [], "to look is not to move"
         second = browser.new_page(viewport={"width": 420, "height": 300})
-        second.set_default_timeout(DEADLINE_S * 1000)
+        second.set_default_timeout(WALL_CLOCK_S * 1000)
         second.goto(viewer[0].url)
         second.get_by_role("tab", name="View").click()
         second.get_by_text("Height over z = 0").wait_for()
@@ -206,7 +212,7 @@ def test_a_browser_without_control_is_told_who_holds_it_and_its_stop_works_all_t
         page.get_by_text("Start", exact=True).click()
         page.get_by_text("anna on pts/3 holds control; this browser only looks").first.wait_for()
         page.get_by_text("Stop", exact=True).click()
-        assert rig.commanded.wait(DEADLINE_S)
+        assert rig.commanded.wait(WALL_CLOCK_S)
         assert [command.name for command in rig.commands] == ["stop"]
         assert rig.commands[0].client.startswith("browser ")
 

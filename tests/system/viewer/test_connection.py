@@ -19,8 +19,8 @@ import zstandard
 from tests.fakes.fake_results import FakeRig, hill_tiles
 from tests.fakes.processes.viewer_process import ViewerProcess
 from tests.system.viewer.test_access import camera_message
+from tests.waiting import WALL_CLOCK_S, wait_for
 
-DEADLINE_S = 60.0
 TILES = hill_tiles(8, 6, 60)
 POINTS = 8 * 6 * 60 * 60
 POINT_BYTES = 15
@@ -49,12 +49,17 @@ class Browser:
 
     def read_until(self, wanted: str) -> None:
         """Take messages until the panel says ``wanted`` (empty: until all points are there)."""
-        deadline = time.monotonic() + DEADLINE_S
-        while not (wanted in self.panel if wanted else sum(self.points.values()) == POINTS):
-            left = deadline - time.monotonic()
-            assert left > 0, f"{sum(self.points.values())} of {POINTS} points; {self.panel}"
+
+        def take_one() -> None:
             with contextlib.suppress(TimeoutError):
-                self._take(self._socket.recv(timeout=min(left, 1.0)))
+                self._take(self._socket.recv(timeout=1.0))
+
+        wait_for(
+            lambda: wanted in self.panel if wanted else sum(self.points.values()) == POINTS,
+            wanted or f"{POINTS} points",
+            pause=take_one,
+            why=lambda: f"{sum(self.points.values())} points; {self.panel}",
+        )
 
     def _take(self, raw: str | bytes) -> None:
         assert isinstance(raw, bytes)
@@ -78,14 +83,14 @@ class Browser:
         self._socket.socket.shutdown(socket.SHUT_RDWR)
         with contextlib.suppress(websockets.exceptions.ConnectionClosed):
             while True:
-                self._socket.recv(timeout=DEADLINE_S)
+                self._socket.recv(timeout=WALL_CLOCK_S)
 
 
 @contextlib.contextmanager
 def serving(run_dir: Path, **overrides: object) -> Iterator[tuple[ViewerProcess, FakeRig]]:
     with ViewerProcess(run_dir, overrides) as viewer, FakeRig(run_dir) as rig:
         rig.set_status(state="sweeping")
-        assert rig.subscribed.wait(DEADLINE_S)
+        assert rig.subscribed.wait(WALL_CLOCK_S)
         yield viewer, rig
 
 

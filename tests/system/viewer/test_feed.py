@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from acquire.contract.messaging.messages import Picture, ResultTiles, Status
 from process.viewer.rig_client.commands import BEAT_STALE_NS, CommandLine, _Click
 from process.viewer.rig_client.feed import Feed, Snapshot
 from tests.fakes.fake_results import SCAN_UID, FakeRig, hill_tiles
+from tests.waiting import WALL_CLOCK_S, wait_for
 
-DEADLINE_S = 10
 TILES = hill_tiles(4, 3, 8)
 
 
@@ -33,11 +32,11 @@ def feed(run_dir: Path, wake: threading.Event) -> Iterator[Feed]:
 
 
 def until(feed: Feed, wake: threading.Event, wanted: Callable[[Snapshot], bool]) -> Snapshot:
-    deadline = time.monotonic() + DEADLINE_S
-    while not wanted(feed.snapshot()):
-        assert time.monotonic() < deadline, feed.snapshot()
+    def pause() -> None:
         wake.wait(0.1)
         wake.clear()
+
+    wait_for(lambda: wanted(feed.snapshot()), "the wanted state", pause=pause, why=feed.snapshot)
     return feed.snapshot()
 
 
@@ -48,7 +47,7 @@ def through(frame_index: int) -> Callable[[Snapshot], bool]:
 def test_the_newest_status_and_all_changed_tiles_arrive(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         rig.set_status(state="sweeping", committed=12)
-        assert rig.subscribed.wait(DEADLINE_S)
+        assert rig.subscribed.wait(WALL_CLOCK_S)
         rig.publish_tiles(TILES[:5], folded_through=7)
         rig.publish_tiles(TILES[5:6], folded_through=8)
         now = until(feed, wake, lambda now: through(8)(now) and now.status is not None)
@@ -95,7 +94,7 @@ def test_a_gap_is_counted_and_answered_by_asking_for_everything(
     feed: Feed, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
-        assert rig.subscribed.wait(DEADLINE_S)
+        assert rig.subscribed.wait(WALL_CLOCK_S)
         rig.publish_tiles(TILES[:6], folded_through=1)
         until(feed, wake, through(1))
         sent_before = rig.snapshots_sent
@@ -103,17 +102,17 @@ def test_a_gap_is_counted_and_answered_by_asking_for_everything(
         rig.publish_tiles(TILES[6:7], folded_through=2, skip_seq=3)
         until(feed, wake, lambda now: now.gaps == 3 and rig.snapshots_sent > sent_before)
         tiles: dict[int, object] = {}
-        deadline = time.monotonic() + DEADLINE_S
-        while len(tiles) < 7 and time.monotonic() < deadline:
-            wake.wait(0.1)
-            wake.clear()
-            tiles |= feed.take_tiles().tiles
-        assert len(tiles) == 7
+
+        def all_there() -> bool:
+            tiles.update(feed.take_tiles().tiles)
+            return len(tiles) == 7
+
+        wait_for(all_there, "seven tiles", why=tiles.keys)
 
 
 def test_another_scan_forgets_the_cloud_of_the_one_before(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
-        assert rig.subscribed.wait(DEADLINE_S)
+        assert rig.subscribed.wait(WALL_CLOCK_S)
         rig.publish_tiles(TILES[:6], folded_through=500)
         until(feed, wake, through(500))
         feed.take_tiles()
@@ -128,7 +127,7 @@ def test_a_message_that_cannot_be_read_is_counted_and_the_next_one_is_taken(
     feed: Feed, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
-        assert rig.subscribed.wait(DEADLINE_S)
+        assert rig.subscribed.wait(WALL_CLOCK_S)
         header, _ = TILES[0]
         rig.publish(
             ResultTiles(scan_uid=SCAN_UID, version=1, folded_through=0, snapshot=False, tiles=[header]), b"short"
@@ -146,10 +145,7 @@ def commands(run_dir: Path) -> Iterator[CommandLine]:
 
 
 def note_of(line: CommandLine, wanted: str) -> str:
-    deadline = time.monotonic() + DEADLINE_S
-    while wanted not in line.note.text:
-        assert time.monotonic() < deadline, line.note
-        threading.Event().wait(0.01)
+    wait_for(lambda: wanted in line.note.text, wanted, why=lambda: line.note)
     return line.note.text
 
 
@@ -221,7 +217,7 @@ def test_a_refused_beat_is_said(commands: CommandLine, run_dir: Path) -> None:
 def test_camera_pictures_come_only_while_somebody_looks(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         feed.watch(True)
-        assert rig.watched.wait(DEADLINE_S)
+        assert rig.watched.wait(WALL_CLOCK_S)
         rig.publish_picture(np.arange(12, dtype=np.uint8).reshape(3, 4), frame_index=8)
         now = until(feed, wake, lambda now: now.picture is not None)
         assert now.picture is not None
@@ -231,13 +227,13 @@ def test_camera_pictures_come_only_while_somebody_looks(feed: Feed, wake: thread
         assert pixels[2].tolist() == [8, 9, 10, 11]
         assert feed.take_pixels() is None
         feed.watch(False)
-        assert rig.unwatched.wait(DEADLINE_S)
+        assert rig.unwatched.wait(WALL_CLOCK_S)
 
 
 def test_a_picture_with_fewer_pixels_than_it_says_is_dropped(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         feed.watch(True)
-        assert rig.watched.wait(DEADLINE_S)
+        assert rig.watched.wait(WALL_CLOCK_S)
         rig.publish(Picture(shape=[3, 4], source_shape=[3, 4]), b"short")
         assert until(feed, wake, lambda now: now.messages_dropped > 0).picture is None
 

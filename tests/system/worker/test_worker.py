@@ -17,7 +17,8 @@ from acquire.contract.messaging.point_record import POINT
 from acquire.contract.states import Outcome
 from process.results.reconstruct import reconstruct
 from process.results.settings import ReconstructOptions
-from tests.fakes.processes.sweep_source import Listener, SweepSource, edge_frames, wait_until
+from tests.fakes.processes.sweep_source import Listener, SweepSource, edge_frames
+from tests.waiting import output_of, wait_for
 
 FRAMES, WIDTH, HEIGHT = 60, 128, 96
 
@@ -222,11 +223,11 @@ def test_tiles_add_up_to_the_cloud_and_newcomers_get_all_of_them(source):
         source.take(index)
         if index == 40:
             folded(source, listener, 40)
-            wait_until(lambda: len(listener.poll().tiles) > 1, "tiles in mid-sweep")
+            wait_for(lambda: len(listener.poll().tiles) > 1, "tiles in mid-sweep")
     source.end()
     finished(source, listener)
     early, late = listener, source.listen()
-    wait_until(lambda: late.poll().ends and late.heard.tiles, "everything again for a newcomer")
+    wait_for(lambda: late.poll().ends and late.heard.tiles, "everything again for a newcomer")
     clouds = []
     for ear in (early, late):
         tiles: dict[int, np.ndarray] = {}
@@ -263,7 +264,7 @@ def test_a_sweep_without_calibration_gets_maps_and_says_why_there_is_no_cloud(ru
 def test_a_fold_beyond_the_memory_limit_is_refused_in_words(source, monkeypatch):
     monkeypatch.setenv("SWEEPSCOPE_LIMITS__FOLD_BYTES", "1000000")
     listener = ready(source)
-    words = wait_until(
+    words = source.pump(
         lambda: [p.message for p in listener.poll().progress if p.scan_uid == source.scan_uid], "a refusal"
     )
     assert "limits.fold_bytes allows 1.0 MB" in words[-1] and "scan itself is safe" in words[-1]
@@ -271,9 +272,9 @@ def test_a_fold_beyond_the_memory_limit_is_refused_in_words(source, monkeypatch)
 
 def test_a_second_worker_leaves_with_the_pid_of_the_first(source):
     first = source.start_worker()
-    wait_until(lambda: (source.run_dir / "worker.lock").read_text().strip(), "the lock")
+    wait_for(lambda: (source.run_dir / "worker.lock").read_text().strip(), "the lock")
     second = source.start_worker_unready()
-    _, said = second.communicate(timeout=30)
+    _, said = output_of(second)
     assert second.returncode != 0
     assert str(first.pid) in said
 
@@ -282,9 +283,9 @@ def test_a_second_worker_leaves_with_the_pid_of_the_first(source):
 def test_it_leaves_cleanly_when_told_so(source, number):
     worker = source.start_worker()
     listener = source.listen()
-    wait_until(lambda: listener.poll().progress, "a sign of life")
+    wait_for(lambda: listener.poll().progress, "a sign of life")
     worker.send_signal(number)
-    _, said = worker.communicate(timeout=10)
+    _, said = output_of(worker)
     assert worker.returncode == 0, said
     assert "Traceback" not in said
 

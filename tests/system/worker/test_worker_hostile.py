@@ -14,7 +14,8 @@ from acquire.contract.messaging.codec import encode
 from process.atomic_write import ResultWriteError
 from process.worker import session as session_module
 from process.worker.service import Worker
-from tests.fakes.processes.sweep_source import SweepSource, edge_frames, wait_until
+from tests.fakes.processes.sweep_source import SweepSource, edge_frames
+from tests.waiting import wait_for
 
 FRAMES = 12
 
@@ -37,7 +38,7 @@ def worker(source: SweepSource) -> Iterator[Worker]:
         made.turn()
         return made.malformed > 0
 
-    wait_until(listens, "the worker hears the live lane")
+    wait_for(listens, "the worker hears the live lane")
     yield made
     made.close()
 
@@ -76,7 +77,7 @@ def fold_a_scan(worker: Worker, source: SweepSource) -> None:
         session = worker.session
         return session is not None and session.announced.scan_uid == source.scan_uid and session.end_said
 
-    wait_until(finished, "a whole scan after all that")
+    wait_for(finished, "a whole scan after all that")
 
 
 def test_broken_messages_of_every_kind_are_counted_and_the_next_scan_is_whole(worker, source):

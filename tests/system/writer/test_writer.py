@@ -15,8 +15,9 @@ import pytest
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.writer.scan_file import create_scan
 from acquire.writer.verify import verify
-from tests.fakes.processes.launch import Bench, bench_at, wait_for
+from tests.fakes.processes.launch import Bench, bench_at
 from tests.fakes.scans.frames import pixels_of, start_of
+from tests.waiting import exit_status, wait_for
 
 
 @pytest.fixture
@@ -89,7 +90,7 @@ def test_a_folder_that_holds_another_scan_is_refused_and_left_alone(bench: Bench
     before = (bench.scan / "scan.partial.h5").read_bytes()
     writer = bench.writer()
     camera = bench.camera(10, deadline_s=1)
-    assert camera.process.wait(20) != 0
+    assert exit_status(camera.process) != 0
     assert "holds another scan (somebody-else)" in writer.errors
     assert (bench.scan / "scan.partial.h5").read_bytes() == before
 
@@ -98,7 +99,7 @@ def test_a_second_writer_leaves_with_the_pid_of_the_first(bench: Bench) -> None:
     first = bench.writer()
     wait_for(lambda: "ready" in first.errors, "the writer")
     second = bench.writer()
-    assert second.process.wait(20) == 1
+    assert exit_status(second.process) == 1
     assert f"pid {first.process.pid}" in second.errors
 
 

@@ -14,15 +14,16 @@ import pytest
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.writer.verify import verify
-from tests.fakes.processes.launch import Bench, Child, bench_at, wait_for
+from tests.fakes.processes.launch import Bench, Child, bench_at
 from tests.fakes.scans.frames import pixels_of
 from tests.system.writer.test_writer import assert_file_equals_witness
+from tests.waiting import wait_for
 
 _DYING_WRITER = """
 import importlib, os, signal, sys
 from pathlib import Path
-from acquire.contract.config import load_config
-from acquire.writer import run_writer
+from acquire.contract.config.load import load_config
+from acquire.writer.service import run_writer
 
 def die_at(module, name, nth, when):
     owner = importlib.import_module(module)

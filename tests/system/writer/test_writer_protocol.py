@@ -19,6 +19,7 @@ from acquire.contract.states import Outcome
 from acquire.writer.verify import verify
 from tests.fakes.processes.launch import Bench, Child, bench_at
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
+from tests.waiting import DEADLINE_S, exit_status, wait_for
 
 COUNT = 4
 
@@ -32,9 +33,10 @@ class Source:
         self.sender = Sender(self.socket)
         self.writer = b""
 
-    def take(self, kind: type[Message], deadline_ms: int = 10_000) -> Any:
+    def take(self, kind: type[Message], deadline_s: float = DEADLINE_S) -> Any:
         """The next message of ``kind``; hellos and heartbeats before it are passed over."""
-        while self.socket.poll(deadline_ms):
+        while True:
+            wait_for(lambda: self.socket.poll(200), kind.__name__, deadline_s)
             received = receive(self.socket)
             assert received is not None
             self.writer = received.routing_id or b""
@@ -42,7 +44,6 @@ class Source:
             if isinstance(message, kind) and not (isinstance(message, Ack) and not message.frames):
                 return message
             assert isinstance(message, (Hello, Ack)), message
-        raise AssertionError(f"no {kind.__name__}")
 
     def send(self, message: Message, payload: Any = None) -> None:
         assert self.sender.send(message, payload, routing_id=self.writer)
@@ -114,7 +115,7 @@ def test_a_start_that_is_repeated_is_answered_with_what_is_committed(
 def test_a_writer_that_waits_for_frames_sends_heartbeats(source: Source, writer: Child, start: Start) -> None:
     begin(source, start)
     while True:
-        assert source.socket.poll(10_000)
+        wait_for(lambda: source.socket.poll(200), "a heartbeat")
         received = receive(source.socket)
         assert received is not None
         if isinstance(received.message, Ack):
@@ -125,7 +126,7 @@ def test_a_writer_that_waits_for_frames_sends_heartbeats(source: Source, writer:
 def test_a_daemon_that_comes_back_hears_hello_at_once(bench: Bench, source: Source, writer: Child) -> None:
     source.close()
     with contextlib.closing(Source(bench.run_dir)) as again:
-        assert again.take(Hello, deadline_ms=3000).pid == writer.process.pid
+        assert again.take(Hello, deadline_s=3.0).pid == writer.process.pid
 
 
 NONSENSE: list[tuple[bytes, ...]] = [
@@ -292,5 +293,5 @@ def test_a_superseded_writer_stops_writing_and_leaves(source: Source, writer: Ch
     begin(source, start)
     source.send(Nack(reason="superseded"))
     send_frame(source, start, 0)
-    assert writer.process.wait(10) == 1
+    assert exit_status(writer.process) == 1
     assert "another writer has taken over" in writer.errors

@@ -22,6 +22,7 @@ from acquire.contract.messaging.messages import FrameFormat
 from acquire.rigs.base import HostFiredRig
 from acquire.rigs.build import build_rig
 from acquire.stages.protocol import Segment, SegmentDone
+from tests.waiting import WALL_CLOCK_S, next_of, wait_for
 
 SETTINGS = CameraSettings(10.0, 0.0, 0.0)
 
@@ -56,7 +57,7 @@ class Source:
         return {"gain": (0.0, 12.0)}
 
     def grab(self) -> np.ndarray:
-        found = self.pictures.get(timeout=30)
+        found = self.pictures.get(timeout=WALL_CLOCK_S)
         if found is None:
             raise SweepscopeError("the cable was pulled")
         return np.full((2, 2), found, np.uint8)
@@ -76,9 +77,7 @@ def through(source: Source, *values: int) -> None:
     """Hand pictures over and wait until the camera asks for the next one."""
     for value in values:
         source.pictures.put(value)
-    deadline_s = time.monotonic() + 10
-    while source.pictures.qsize() and time.monotonic() < deadline_s:
-        time.sleep(0.001)
+    wait_for(lambda: not source.pictures.qsize(), "the camera asks for the next one")
 
 
 def test_a_shot_gets_the_first_picture_that_surely_began_after_it(free):
@@ -88,7 +87,7 @@ def test_a_shot_gets_the_first_picture_that_surely_began_after_it(free):
     through(source, 1, 2)
     camera.fire(now_ns(), 30)
     through(source, 3, 4, 5)
-    frame = events.get(timeout=5)
+    frame = next_of(events)
     assert frame.pixels[0, 0] == 4, "picture 3 had begun before the shot"
     with pytest.raises(queue.Empty):
         events.get(timeout=0.05)
@@ -111,14 +110,14 @@ def test_nothing_is_delivered_before_arming_but_what_was_snapped(free):
     through(source, 1, 2, 3)
     camera.snap()
     through(source, 4, 5, 6)
-    assert isinstance(events.get(timeout=5), CameraFrame) and events.empty()
+    assert isinstance(next_of(events), CameraFrame) and events.empty()
     assert not info.counts_frames and info.limits == {"gain": (0.0, 12.0)}
 
 
 def test_a_source_that_ends_is_told_as_a_camera_that_is_gone(free):
     _, source, events, _ = free
     source.pictures.put(None)
-    assert events.get(timeout=5) == CameraGone("the cable was pulled")
+    assert next_of(events) == CameraGone("the cable was pulled")
 
 
 def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_shots(free, monkeypatch):
@@ -128,12 +127,12 @@ def test_a_source_that_is_there_again_is_opened_and_set_up_as_it_was_and_serves_
     camera.arm()
     source.settings = None
     source.pictures.put(None)
-    assert not events.get(timeout=5).back
-    assert events.get(timeout=5) == CameraGone("", back=True)
+    assert not next_of(events).back
+    assert next_of(events) == CameraGone("", back=True)
     assert source.settings == CameraSettings(0.01, 0.0, 0.0)
     camera.fire(now_ns(), 0)
     through(source, 1, 2, 3, 4)
-    assert isinstance(events.get(timeout=5), CameraFrame)
+    assert isinstance(next_of(events), CameraFrame)
 
 
 def test_a_shot_that_waited_when_the_source_went_away_gets_no_picture_of_later(free, monkeypatch):
@@ -143,12 +142,12 @@ def test_a_shot_that_waited_when_the_source_went_away_gets_no_picture_of_later(f
     camera.arm()
     camera.fire(now_ns(), 0)
     source.pictures.put(None)
-    assert not events.get(timeout=5).back
-    assert events.get(timeout=5) == CameraGone("", back=True)
+    assert not next_of(events).back
+    assert next_of(events) == CameraGone("", back=True)
     through(source, 1, 2, 3)
     camera.fire(now_ns(), 0)
     through(source, 4, 5, 6)
-    assert events.get(timeout=5).pixels[0, 0] >= 4
+    assert next_of(events).pixels[0, 0] >= 4
 
 
 # ---- webcams ----
@@ -235,7 +234,7 @@ def test_a_recording_answers_each_place_with_its_picture_and_the_nearest_beside_
     camera.arm()
     for place in (30, 24, 18, 60, -60):
         camera.fire(now_ns(), place)
-    assert [events.get(timeout=5).pixels[0, 0] for _ in range(5)] == [0, 20, 40, 0, 40]
+    assert [next_of(events).pixels[0, 0] for _ in range(5)] == [0, 20, 40, 0, 40]
     camera.close()
 
 
@@ -247,8 +246,8 @@ def test_a_sweep_over_a_recording_passes_each_shot_on_and_stands_still_for_it(pi
     assert rig.open_stage(stage_events.put).modes == ("step",)
     rig.camera.arm()
     rig.stage.begin_segment(Segment(30, -3, 5), 4)
-    assert [frames.get(timeout=10).pixels[0, 0] for _ in range(5)] == [0, 10, 20, 30, 40]
-    assert [stage_events.get(timeout=10) for _ in range(6)][-1] == SegmentDone(18)
+    assert [next_of(frames).pixels[0, 0] for _ in range(5)] == [0, 10, 20, 30, 40]
+    assert [next_of(stage_events) for _ in range(6)][-1] == SegmentDone(18)
     rig.stage.close()
     rig.camera.close()
 
@@ -299,7 +298,7 @@ def test_a_genicam_camera_that_runs_freely_serves_shots():
     assert rig.camera.open(frames.put).kind == "genicam"
     rig.camera.arm()
     rig.camera.fire(now_ns(), 0)
-    assert frames.get(timeout=10).pixels.shape == (400, 400, 3)
+    assert next_of(frames).pixels.shape == (400, 400, 3)
     rig.camera.close()
 
 

@@ -26,10 +26,10 @@ from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
 from acquire.daemon.frame_sender import FrameLane
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
+from tests.waiting import wait_for
 
 PLAN = SweepPlan(first_steps=0, last_steps=30, steps_per_frame=3, um_per_microstep=3.175)
 START = Start(scan_uid="u", path="/x", format=FrameFormat(width=5, height=4, bit_depth=8), plan=PLAN)
-DEADLINE_S = 5.0
 
 
 def frame(index):
@@ -49,7 +49,7 @@ class TinyWriter:
         assert self.sender.send(message)
 
     def take(self):
-        assert self.socket.poll(DEADLINE_S * 1000), "nothing came"
+        wait_for(lambda: self.socket.poll(200), "a message")
         return receive(self.socket)
 
     def nothing(self):
@@ -79,11 +79,14 @@ def second(context, run_dir, lane):
 
 
 def poll(lane, wanted=1):
-    events, deadline = [], time.monotonic() + DEADLINE_S
-    while len(events) < wanted:
-        assert time.monotonic() < deadline, f"only {events} came"
+    events = []
+
+    def enough():
         lane.socket.poll(50)
-        events += lane.poll(time.monotonic_ns())
+        events.extend(lane.poll(time.monotonic_ns()))
+        return len(events) >= wanted
+
+    wait_for(enough, f"{wanted} events", pause=lambda: None, why=lambda: events)
     return events
 
 
@@ -106,11 +109,11 @@ def answer(lane, writer, committed=(), crc32=()):
 
 
 def _until(lane, condition):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
+    def pause():
         lane.socket.poll(20)
         lane.poll(time.monotonic_ns())
+
+    wait_for(condition, "the lane's state", pause=pause)
 
 
 def test_frames_wait_until_the_writer_is_ready_and_then_come_in_order(lane, writer):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 import zmq
@@ -12,6 +10,7 @@ from acquire.activities.images import View
 from acquire.contract.messaging.lanes import bind, connect, receive
 from acquire.contract.messaging.messages import FrameFormat, Picture
 from acquire.daemon.preview_publisher import PreviewLane
+from tests.waiting import wait_for
 
 FORM = FrameFormat(width=64, height=48, bit_depth=8)
 SECOND = 1_000_000_000
@@ -31,10 +30,7 @@ def view(frame_index):
 
 
 def until(lane, watched):
-    deadline_s = time.monotonic() + 10
-    while lane.watched != watched:
-        assert time.monotonic() < deadline_s
-        lane.poll()
+    wait_for(lambda: lane.watched == watched, f"watched: {watched}", pause=lane.poll)
 
 
 def next_picture(socket):

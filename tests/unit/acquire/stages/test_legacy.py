@@ -15,6 +15,7 @@ from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.legacy import LegacyStage
 from acquire.stages.protocol import Moved, Segment, SegmentDone, Stopped, Triggered
+from tests.waiting import next_of, wait_for
 
 
 class Sketch:
@@ -67,7 +68,7 @@ class Rig:
         self.info = self.stage.open(self.events.put)
 
     def next(self):
-        return self.events.get(timeout=5)
+        return next_of(self.events)
 
     def zero(self):
         self.stage.zero_here()
@@ -83,12 +84,7 @@ def rig():
 
 
 def settled(rig, position):
-    event = threading.Event()
-    for _ in range(200):
-        if rig.sketch.position == position:
-            return True
-        event.wait(0.01)
-    return False
+    return wait_for(lambda: rig.sketch.position == position, f"the place {position}", why=lambda: rig.sketch.position)
 
 
 def test_moves_send_one_pulse_for_each_microstep_either_way(rig):

@@ -11,6 +11,7 @@ from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.stages.simulated import SimulatedStage
+from tests.waiting import next_of
 
 
 class Rig:
@@ -22,8 +23,12 @@ class Rig:
         )
         self.stage.open(self.events.put)
 
-    def next(self, timeout_s=5.0):
-        return self.events.get(timeout=timeout_s)
+    def next(self):
+        return next_of(self.events)
+
+    def assert_silent(self, for_s):
+        with pytest.raises(queue.Empty):
+            self.events.get(timeout=for_s)
 
 
 @pytest.fixture
@@ -61,11 +66,9 @@ def test_triggers_are_counted_on_over_segments(rig):
 def test_no_credit_no_trigger(rig):
     rig.stage.begin_segment(Segment(0, 3, 4), 1)
     assert [rig.next().shot_index for _ in range(2)] == [0, 1]
-    with pytest.raises(queue.Empty):
-        rig.next(timeout_s=0.1)
+    rig.assert_silent(0.1)
     rig.stage.grant(0)
-    with pytest.raises(queue.Empty):
-        rig.next(timeout_s=0.05)
+    rig.assert_silent(0.05)
     rig.stage.grant(3)
     assert [rig.next().shot_index for _ in range(2)] == [2, 3]
     assert isinstance(rig.next(), SegmentDone)
@@ -77,8 +80,7 @@ def test_a_hold_is_told_once_and_a_resume_goes_on(rig):
     rig.stage.hold()
     assert isinstance(rig.next(), Held)
     rig.stage.grant(1)
-    with pytest.raises(queue.Empty):
-        rig.next(timeout_s=0.05)
+    rig.assert_silent(0.05)
     rig.stage.resume()
     assert rig.next().shot_index == 1
     assert isinstance(rig.next(), SegmentDone)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 
 import pytest
+
+from tests.waiting import run
 
 _FAULTS = """
 import resource, sys
@@ -23,7 +24,7 @@ BURST_PAGES = 8 * 3_000_000 // 4096
 
 
 def test_a_burst_of_frames_after_another_touches_no_fresh_page():
-    done = subprocess.run([sys.executable, "-c", _FAULTS], capture_output=True, text=True, timeout=30, check=False)
+    done = run([sys.executable, "-c", _FAULTS])
     if done.returncode == 77:
         pytest.skip("only glibc can be asked to keep memory")
     assert done.returncode == 0, done.stderr

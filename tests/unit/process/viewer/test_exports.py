@@ -2,7 +2,6 @@ import io
 import json
 import re
 import shutil
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +22,7 @@ from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.colouring import Look
 from process.viewer.stream.point_nodes import Cloud
 from tests.fakes.fake_results import hill_tiles
+from tests.waiting import wait_for
 
 
 def tiles() -> dict[int, Tile]:
@@ -149,10 +149,11 @@ def test_the_points_of_a_finished_scan_are_picked_from_its_file_which_knows_thei
     panel = _panel(data_dir)
     path = str(entry.folder / "cloud.ply")
     end = ResultEnd(version=1, outcome="complete", folded_through=9, points=1728, cloud_path=path)
-    deadline = time.monotonic() + 20
-    while panel.pickable is not panel._finished or not panel._finished:
-        assert time.monotonic() < deadline
-        panel.turn(Snapshot(end=end), 0, watched=True)
+    wait_for(
+        lambda: panel._finished and panel.pickable is panel._finished,
+        "the points of the file",
+        pause=lambda: panel.turn(Snapshot(end=end), 0, watched=True),
+    )
     assert all(tile.quality is not None for tile in panel.pickable.values())
     panel.turn(Snapshot(), 0, watched=True)
     assert panel.pickable == {}

@@ -19,7 +19,8 @@ from process.worker import live_maps
 from process.worker.publisher import Outbox
 from process.worker.scan_description import announced_by_start
 from process.worker.session import ScanSession
-from tests.fakes.processes.sweep_source import Listener, SweepSource, edge_frames, wait_until
+from tests.fakes.processes.sweep_source import Listener, SweepSource, edge_frames
+from tests.waiting import wait_for
 
 FRAMES, WIDTH, HEIGHT = 30, 64, 48
 
@@ -88,13 +89,13 @@ def test_a_subscriber_sees_the_maps_in_mid_sweep_and_those_of_the_file_at_the_en
     outbox.answer_newcomers(session)
     sweep(session, source)
     outbox.say_preview(session)
-    message, payload = wait_until(lambda: listener.poll().maps, "maps of a preview")[-1]
+    message, payload = wait_for(lambda: listener.poll().maps, "maps of a preview")[-1]
     assert (message.shape, message.step, message.contrast) == ([HEIGHT, WIDTH], 1, 60.0)
     assert message.folded_through == FRAMES - 1
     assert np.array_equal(planes(message, payload)[1], np.max(source.frames, axis=0))
     finish(session, source)
     outbox.say_maps_on_disk(session)
-    message, payload = wait_until(lambda: listener.poll().maps[1:], "maps of the file")[-1]
+    message, payload = wait_for(lambda: listener.poll().maps[1:], "maps of the file")[-1]
     with h5py.File(source.folder / "maps.h5") as file:
         for found, name in zip(planes(message, payload), ("min", "max", "crossing"), strict=True):
             assert np.array_equal(found, file[name][()].astype(found.dtype), equal_nan=True)
@@ -126,7 +127,7 @@ def test_a_newcomer_need_not_wait_for_the_next_frame(session, source, outbox, li
     assert outbox.wants_preview
     outbox.say_preview(session)
     assert not outbox.wants_preview
-    wait_until(lambda: listener.poll().maps, "maps")
+    wait_for(lambda: listener.poll().maps, "maps")
 
 
 def test_maps_that_were_taken_away_are_passed_over(session, source, outbox, listener):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import msgspec
 import pytest
 
@@ -11,6 +9,7 @@ from acquire.contract.errors import CommandRefusedError, NoServiceError, Sweepsc
 from acquire.contract.process.run_dir import is_served
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import SWEEPING, FakeDaemon
+from tests.waiting import WALL_CLOCK_S, Stopwatch, wait_for
 from tui.client.follow import Narrator, exit_status_of, follow_scan, has_ended
 from tui.client.rig_client import ProgressFeed, RigClient
 
@@ -54,10 +53,10 @@ def test_a_request_that_is_sent_again_is_as_old_as_it_was(run_dir):
 
 
 def test_nobody_there_is_told_at_once(run_dir):
-    begin_s = time.monotonic()
+    watch = Stopwatch()
     with pytest.raises(NoServiceError, match="sweepscope up"):
         RigClient(run_dir)
-    assert time.monotonic() - begin_s < 1.0
+    assert watch.elapsed_s < 1.0
 
 
 def test_a_socket_file_of_a_dead_daemon_is_not_a_daemon(run_dir):
@@ -73,7 +72,7 @@ def test_the_newest_status_wins(run_dir):
     with FakeDaemon(run_dir) as daemon, RigClient(run_dir) as client:
         client.status()
         daemon.show(position_steps=77)
-        found = client.wait_for(lambda status: status.position_steps == 77, 5.0)
+        found = client.wait_for(lambda status: status.position_steps == 77, WALL_CLOCK_S)
         assert found is not None and found.position_steps == 77
 
 
@@ -153,9 +152,7 @@ def test_the_progress_feed_gives_the_newest_without_waiting(run_dir):
         assert feed.newest() is None
         with FakeDaemon(run_dir) as daemon:
             daemon.progress = PROGRESS
-            deadline_s = time.monotonic() + 5
-            while feed.newest() is None and time.monotonic() < deadline_s:
-                time.sleep(0.01)
+            wait_for(feed.newest, "progress")
         found = feed.newest()
         assert found is not None and found.points_settled == PROGRESS.points_settled
         assert feed.end_of("uid-1") is None

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from tests.fakes.fake_daemon import IDLE
 from tests.fakes.fake_link import FakeLink
+from tests.waiting import DEADLINE_S, Stopwatch
 from tui.console.app import ConsoleApp, ConsoleOptions
 from tui.console.link.messages import LinkChanged, StatusArrived
 from tui.console.screens.base import RigScreenBase
 from tui.processes.child_jobs import Job
 
 ME = "anna on pts/3"
-DEADLINE_S = 15.0
 
 
 class Stage:
@@ -58,9 +57,9 @@ class Stage:
 
     async def until(self, condition: Callable[[], object], what: str) -> None:
         """Wait until the condition holds; the console goes on meanwhile."""
-        end_s = time.monotonic() + DEADLINE_S
+        watch = Stopwatch()
         while not condition():
-            assert time.monotonic() < end_s, f"never: {what}\n{self.log}\n{self.painted}"
+            assert watch.elapsed_s < DEADLINE_S, f"never: {what}\n{self.log}\n{self.painted}"
             await self.pilot.pause(0.02)
 
     def shown(self, pane) -> str:
@@ -107,4 +106,4 @@ def play(
         async with app.run_test(size=size) as pilot:
             await script(Stage(app, pilot))
 
-    asyncio.run(asyncio.wait_for(run(), 60))
+    asyncio.run(run())

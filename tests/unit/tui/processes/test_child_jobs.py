@@ -9,10 +9,10 @@ from collections.abc import Iterator
 import pytest
 
 from acquire.contract.errors import SweepscopeError
+from tests.waiting import wait_for
 from tui.processes import child_jobs as jobs_module
 from tui.processes.child_jobs import Job, JobBoard
 
-DEADLINE_S = 20.0
 PROGRAM = [sys.executable, "-S", "-c"]
 WAITS = 'import sys, time; print(\'{"done": 1, "total": 4}\'); sys.stdout.flush(); time.sleep(60)'
 
@@ -30,9 +30,11 @@ class Watch:
             self._changed.notify_all()
 
     def wait_for(self, wanted) -> Job:
-        with self._changed:
-            assert self._changed.wait_for(lambda: any(wanted(job) for job in self.seen), DEADLINE_S), self.seen
-            return next(job for job in reversed(self.seen) if wanted(job))
+        def found() -> Job | None:
+            with self._changed:
+                return next((job for job in reversed(self.seen) if wanted(job)), None)
+
+        return wait_for(found, "such a job", why=lambda: self.seen)
 
 
 @pytest.fixture

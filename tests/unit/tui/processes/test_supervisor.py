@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from tests import ROOT
+from tests.waiting import wait_for
 from tui.processes.supervisor import HOPELESS_STARTS, ServiceSpec, Supervisor
 
 SLEEPER = "import signal, sys; print('up', flush=True); signal.pause()"
@@ -35,13 +36,13 @@ def child(name: str, code: str, *arguments: str) -> ServiceSpec:
     return ServiceSpec(name, (sys.executable, "-c", code, *arguments))
 
 
-def wait(happened: Callable[[], bool], supervisor: Supervisor | None = None, deadline_s: float = 5.0) -> None:
-    end_s = time.monotonic() + deadline_s
-    while not happened():
-        assert time.monotonic() < end_s, "it did not happen in time"
+def wait(happened: Callable[[], bool], supervisor: Supervisor | None = None) -> None:
+    def pause() -> None:
         if supervisor is not None:
             supervisor.tend()
         time.sleep(0.02)
+
+    wait_for(happened, "what is waited for", pause=pause)
 
 
 @pytest.fixture
@@ -87,7 +88,7 @@ def test_a_child_that_cannot_live_is_given_up_after_growing_pauses(keep):
         now[0] += 0.05
         return bool(supervisor.given_up)
 
-    wait(tick, supervisor, deadline_s=10.0)
+    wait(tick, supervisor)
     assert supervisor.given_up == ["a"]
     assert len(said) == HOPELESS_STARTS
     assert "status 3" in said[0] and "given up" in said[-1]

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.process import logs
+from tests.waiting import WALL_CLOCK_S
 
 
 def record(text: str) -> logging.LogRecord:
@@ -35,7 +36,7 @@ def test_a_record_reaches_the_journal_with_service_scan_and_all_its_lines(
     logs.follow_scan("abc123")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
         journal.bind(str(run_dir / "journal"))
-        journal.settimeout(2)
+        journal.settimeout(WALL_CLOCK_S)
         handler = logs.JournalHandler("writer", run_dir / "journal")
         handler.emit(record("two\nlines MESSAGE=forged"))
         handler.close()
