@@ -29,10 +29,12 @@ struct rig {
 };
 
 extern struct rig rig;
+extern void (*rig_tell)(const char *format, ...); /* gets each event of the pins as a line of text; set before rig_init */
 void rig_init(avr_t *avr);
 void rig_poll(void);                    /* once per chunk: switches follow the stage */
 void rig_reset(const char *cause);
 int rig_hang(void);                     /* the program stops making progress, until the watchdog bites */
+void rig_unhang(void);                  /* the program runs anew */
 
 struct line {
     double noise;                       /* share of bytes that are hurt, each way */
@@ -51,8 +53,10 @@ const char *line_name(void);
 int control_init(const char *path);
 void control_poll(void);
 void control_tell(const char *format, ...) __attribute__((format(printf, 1, 2))); /* to all who watch */
+
 extern double pace;                     /* 1: real time; 0: as fast as possible */
 extern uint64_t frozen_until_ns;
 extern int running;
 uint64_t now_ns(void);
+void keep_pace(avr_t *avr);             /* sleeps until real time has caught up */
 #endif

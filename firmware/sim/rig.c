@@ -13,6 +13,7 @@
 #define DIR_BIT 7
 #define US_CYCLES 16
 
+void (*rig_tell)(const char *format, ...);
 struct rig rig = {.limit_at = -1000000000, .limit_forced = -1, .limit_level = -1, .strobes = 1,
                   .strobe_delay_cycles = 50 * US_CYCLES, .strobe_cycles = 100 * US_CYCLES};
 
@@ -68,7 +69,7 @@ static avr_cycle_count_t strobe_on(avr_t *avr, avr_cycle_count_t when, void *par
 
 static void tell_edge(const char *what)
 {
-    control_tell("%s %llu %lld %llu", what, (unsigned long long)rig.triggers - 1, (long long)rig.position,
+    rig_tell("%s %llu %lld %llu", what, (unsigned long long)rig.triggers - 1, (long long)rig.position,
                  (unsigned long long)rig.avr->cycle);
 }
 
@@ -175,7 +176,7 @@ static void on_lamp(struct avr_irq_t *irq, uint32_t value, void *param)
         rig.lamp_pin = level;
         rig.lamp_changes++;
         note("lamp", rig.lamp_changes, level);
-        control_tell("lamp %d %llu", level, (unsigned long long)rig.avr->cycle);
+        rig_tell("lamp %d %llu", level, (unsigned long long)rig.avr->cycle);
     }
 }
 
@@ -186,7 +187,7 @@ static void on_driver(struct avr_irq_t *irq, uint32_t value, void *param)
     if (on != rig.driver_pin) {
         rig.driver_pin = on;
         note("driver", 0, on);
-        control_tell("driver %d %llu", on, (unsigned long long)rig.avr->cycle);
+        rig_tell("driver %d %llu", on, (unsigned long long)rig.avr->cycle);
     }
 }
 
@@ -235,7 +236,7 @@ void rig_reset(const char *cause)
     drive('B', 0, 0);
     drive('D', 3, rig.estop);
     rig_poll();
-    control_tell("reset %s %llu", cause, (unsigned long long)rig.avr->cycle);
+    rig_tell("reset %s %llu", cause, (unsigned long long)rig.avr->cycle);
 }
 
 int rig_hang(void)
@@ -250,7 +251,6 @@ int rig_hang(void)
 }
 
 /* Called by the loop when the program counter is back at the start: the flash is whole again. */
-void rig_unhang(void);
 void rig_unhang(void)
 {
     if (!hanging)

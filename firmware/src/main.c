@@ -4,12 +4,13 @@
 #include <avr/wdt.h>
 #include <stdint.h>
 
-#include "clock.h"
-#include "link.h"
-#include "machine.h"
-#include "pins.h"
-#include "steps.h"
-#include "uart.h"
+#include "board/pins.h"
+#include "inputs/clock.h"
+#include "link/link.h"
+#include "link/uart.h"
+#include "machine/machine.h"
+#include "machine/poll.h"
+#include "motion/steps.h"
 
 #define BOOT_SLOTS 16 /* the counter moves over these cells, so that each wears 16 times slower */
 

@@ -4,12 +4,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../protocol.h"
-#include "../src/debounce.h"
-#include "../src/frame.h"
-#include "../src/ledger.h"
-#include "../src/ramp.h"
-#include "../src/window.h"
+#include "protocol.h"
+#include "inputs/debounce.h"
+#include "link/frame.h"
+#include "motion/ledger.h"
+#include "motion/ramp.h"
+#include "link/window.h"
 
 static int failures;
 static const char *current;

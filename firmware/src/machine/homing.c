@@ -1,7 +1,9 @@
-#include "clock.h"
+#include "homing.h"
+
+#include "inputs/clock.h"
 #include "machine.h"
-#include "motion.h"
-#include "steps.h"
+#include "motion/motion.h"
+#include "motion/steps.h"
 
 #define BACKOFF_TRIES 20
 #define CONTACT_MS 30 /* a contact that has not settled by then was noise */

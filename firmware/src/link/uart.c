@@ -4,7 +4,7 @@
 #include <avr/io.h>
 #include <util/atomic.h>
 
-#include "../protocol.h"
+#include "protocol.h"
 
 #define RX_SIZE 128 /* powers of two; takes WINDOW_MAX blocks of ordinary commands */
 #define TX_SIZE 128 /* the longest report, and an answer */

@@ -3,7 +3,7 @@
 #define WINDOW_H
 #include <stdint.h>
 
-#include "../protocol.h"
+#include "protocol.h"
 
 struct window {
     uint8_t expected;

@@ -3,7 +3,7 @@
 #define LEDGER_H
 #include <stdint.h>
 
-#include "../protocol.h"
+#include "protocol.h"
 
 struct event {
     int32_t position;

@@ -3,11 +3,12 @@
 #define MOTION_H
 #include <stdint.h>
 
-#include "../protocol.h"
+#include "protocol.h"
 
 void motion_configure(const struct config_body *config);
 void motion_move(int32_t target, uint16_t rate);         /* at rest only; rate 0: the fastest */
-void motion_fly(int32_t target, uint32_t cruise);        /* the same, cruise in 1/256 ticks */
+/* The same at constant speed, cruise in 1/256 ticks; planned_step returns the ENTRY_ flags of each step. */
+void motion_fly(int32_t target, uint32_t cruise, uint8_t (*planned_step)(int32_t position));
 void motion_wait(uint32_t ticks, uint8_t flags);         /* at rest: a pause, then ENTRY_ flags */
 void motion_halt(void);                                  /* brake */
 void motion_kill(void);                                  /* no step after this */
@@ -19,6 +20,4 @@ uint16_t motion_run_up(uint32_t cruise);                 /* steps from rest to t
 uint32_t motion_fly_interval(uint32_t period_us, uint32_t pitch); /* 1/256 ticks per step */
 int8_t motion_direction(void);
 
-/* Called for each planned step of motion_fly; the owner answers with ENTRY_ flags for that step. */
-uint8_t sweep_planned_step(int32_t position);
 #endif

@@ -4,7 +4,7 @@
 #include <avr/io.h>
 #include <util/atomic.h>
 
-#include "pins.h"
+#include "board/pins.h"
 
 #define MARGIN 10 /* ticks that a compare value must lie ahead */
 

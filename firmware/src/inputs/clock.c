@@ -5,8 +5,8 @@
 #include <util/atomic.h>
 
 #include "debounce.h"
-#include "pins.h"
-#include "steps.h"
+#include "board/pins.h"
+#include "motion/steps.h"
 
 #define LIMIT_SAMPLES 5 /* ms: longer than a lever switch bounces */
 #define ESTOP_SAMPLES 2

@@ -3,12 +3,15 @@
 #include <string.h>
 #include <util/atomic.h>
 
-#include "clock.h"
+#include "board/stack.h"
 #include "frame.h"
-#include "machine.h"
-#include "motion.h"
-#include "stack.h"
-#include "steps.h"
+#include "inputs/clock.h"
+#include "machine/commands.h"
+#include "machine/homing.h"
+#include "machine/machine.h"
+#include "machine/sweep.h"
+#include "motion/motion.h"
+#include "motion/steps.h"
 #include "uart.h"
 #include "window.h"
 
@@ -205,19 +208,19 @@ static uint8_t seen(uint32_t events_seen)
 static uint8_t run(uint8_t type, const void *body)
 {
     switch (type) {
-    case CMD_CONFIGURE: return machine_configure(body);
+    case CMD_CONFIGURE: return command_configure(body);
     case CMD_STATUS: return seen(((const struct status_body *)body)->events_seen);
-    case CMD_MOVE: return machine_move(body);
+    case CMD_MOVE: return command_move(body);
     case CMD_SEGMENT: return sweep_begin(body);
     case CMD_GRANT: return grant(((const struct grant_body *)body)->may_trigger_through);
-    case CMD_HOLD: return machine_hold(HOLD_HOST);
-    case CMD_RESUME: return machine_resume();
-    case CMD_STOP: return machine_stop(STOP_HOST);
+    case CMD_HOLD: return command_hold(HOLD_HOST);
+    case CMD_RESUME: return command_resume();
+    case CMD_STOP: return command_stop(STOP_HOST);
     case CMD_HOME: return homing_begin(0);
-    case CMD_ZERO: return machine_zero(((const struct zero_body *)body)->position);
+    case CMD_ZERO: return command_zero(((const struct zero_body *)body)->position);
     case CMD_TOUCH: return homing_begin(1);
     case CMD_LAMP: return machine_lamp(((const struct lamp_body *)body)->on);
-    case CMD_CLEAR: return machine_clear();
+    case CMD_CLEAR: return command_clear();
     default: return RESULT_OK; /* questions change nothing */
     }
 }
@@ -322,9 +325,9 @@ static void take_realtime(void)
     if (flags & REALTIME_ESTOP)
         machine_alarm(ALARM_ESTOP_BYTE);
     if (flags & REALTIME_STOP)
-        machine_stop(STOP_REALTIME);
+        command_stop(STOP_REALTIME);
     if (flags & REALTIME_HOLD)
-        machine_hold(HOLD_REALTIME);
+        command_hold(HOLD_REALTIME);
 }
 
 /* A report when something has happened that the host waits for. Best effort: what is lost it asks for. */

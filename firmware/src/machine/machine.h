@@ -1,9 +1,9 @@
-/* machine - the state of the rig: moves, sweeps, homing, holds, alarms, and who may do what when. */
+/* machine - the state that all parts of the machine share, and the steps between its states. */
 #ifndef MACHINE_H
 #define MACHINE_H
 #include <stdint.h>
 
-#include "../protocol.h"
+#include "protocol.h"
 
 enum phase {
     PHASE_NONE,
@@ -35,7 +35,7 @@ struct machine {
     uint8_t last_stop;     /* reason to report once PHASE_STOPPING has come to rest */
     uint32_t zero_id, boot_id;
     int32_t steps_lost;
-    uint32_t heard_ms;     /* last sound block from the host */
+    uint32_t heard_ms;     /* last valid block from the host */
     uint32_t lamp_on_ms;
     uint8_t zeros;
 };
@@ -43,34 +43,13 @@ struct machine {
 extern struct machine machine;
 
 void machine_init(uint32_t boot_id);
-void machine_poll(void);
-void machine_heard(void);           /* a sound block came: the lease runs anew */
+void machine_heard(void);           /* a valid block came: the lease starts anew */
 uint8_t machine_flags(void);
-
-/* Commands: each returns a RESULT_ code. */
-uint8_t machine_configure(const struct config_body *config);
-uint8_t machine_move(const struct move_body *move);
-uint8_t machine_hold(uint8_t reason);
-uint8_t machine_resume(void);
-uint8_t machine_stop(uint8_t reason);
-uint8_t machine_zero(int32_t position);
-uint8_t machine_lamp(uint8_t on);
-uint8_t machine_clear(void);
-void machine_alarm(uint8_t code);
-
-/* Shared by the parts of the machine */
 uint8_t machine_ready(void);        /* RESULT_OK if a motion may begin */
 void machine_begin(uint8_t state, enum phase phase);
 void machine_end(uint8_t stop_reason);
-void machine_trust(int32_t position);
+void machine_alarm(uint8_t code);
+void machine_trust(int32_t position); /* the stage is there: a new zero */
+uint8_t machine_lamp(uint8_t on);   /* a RESULT_ code */
 
-uint8_t sweep_begin(const struct segment_body *segment);
-void sweep_advance(void);           /* called at rest */
-void sweep_hold(uint8_t reason);
-void sweep_resume(void);
-uint32_t sweep_shots_left(void);
-uint16_t sweep_segment_id(void);
-
-uint8_t homing_begin(uint8_t touch);
-void homing_poll(void);             /* called always in a homing phase */
 #endif

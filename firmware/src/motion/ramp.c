@@ -1,7 +1,7 @@
 #include "ramp.h"
 
-#include "../protocol.h"
-#include "flash.h"
+#include "protocol.h"
+#include "board/flash.h"
 
 #define NO_INDEX 0xFFFF
 #define SURE_MAX 60000

@@ -1,6 +1,8 @@
 #include "motion.h"
 
-#include "pins.h"
+#include <stddef.h>
+
+#include "board/pins.h"
 #include "ramp.h"
 #include "steps.h"
 
@@ -12,9 +14,10 @@
 static struct profile profile;
 static uint32_t constant, fastest;
 static uint32_t pending;        /* ticks not yet queued */
-static uint8_t pending_flags, planning, flying;
+static uint8_t pending_flags, planning;
 static uint8_t inverted;
 static uint16_t last_ticks;     /* of the newest piece */
+static uint8_t (*flags_of_step)(int32_t position); /* of a move on the fly; else NULL */
 
 void motion_configure(const struct config_body *config)
 {
@@ -39,20 +42,20 @@ void motion_move(int32_t target, uint16_t rate)
 {
     uint32_t cruise = rate ? ramp_rate_interval(rate) : fastest;
 
-    flying = 0;
+    flags_of_step = NULL;
     begin(target, cruise > fastest ? cruise : fastest);
 }
 
-void motion_fly(int32_t target, uint32_t cruise)
+void motion_fly(int32_t target, uint32_t cruise, uint8_t (*planned_step)(int32_t position))
 {
-    flying = 1;
+    flags_of_step = planned_step;
     begin(target, cruise);
 }
 
 void motion_wait(uint32_t ticks, uint8_t flags)
 {
     profile.position = profile.target = steps_position();
-    flying = 0;
+    flags_of_step = NULL;
     pending = ticks < STEPS_TICKS_MIN ? STEPS_TICKS_MIN : ticks;
     pending_flags = flags | ENTRY_LAST;
     steps_unlock();
@@ -104,8 +107,8 @@ static void plan_step(void)
         return;
     }
     pending_flags = ENTRY_STEP;
-    if (flying)
-        pending_flags |= sweep_planned_step(profile.position);
+    if (flags_of_step)
+        pending_flags |= flags_of_step(profile.position);
     if (profile.position == profile.target)
         pending_flags |= ENTRY_LAST;
 }

@@ -1,9 +1,11 @@
+#include "sweep.h"
+
 #include <util/atomic.h>
 
-#include "ledger.h"
 #include "machine.h"
-#include "motion.h"
-#include "steps.h"
+#include "motion/ledger.h"
+#include "motion/motion.h"
+#include "motion/steps.h"
 
 #define FIRE_TICKS 100 /* from the decision to the edge where no settling is asked for */
 
@@ -136,6 +138,33 @@ static uint8_t credit(void)
     return have >= wanted;
 }
 
+/* Called for each planned step on the fly; returns the ENTRY_ flags of that step. */
+static uint8_t planned_step(int32_t position)
+{
+    uint8_t may;
+
+    if (position != next_shot || machine.phase != PHASE_FLY)
+        return 0;
+    if (!motion_cruising())
+        return 0; /* comes to rest in PHASE_FLY: an alarm */
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        may = ledger_may(&steps_ledger, first_id + planned);
+    }
+    if (!may) {
+        machine.hold_reason = HOLD_NO_CREDIT;
+        machine.phase = PHASE_BRAKE;
+        motion_halt();
+        return 0;
+    }
+    next_shot += segment.pitch;
+    if (++planned == segment.count) {
+        machine.phase = PHASE_FINISH;
+        motion_halt();
+    }
+    return ENTRY_TRIGGER;
+}
+
 static void wait_credit(void)
 {
     if (!credit()) {
@@ -150,7 +179,7 @@ static void wait_credit(void)
     if (segment.mode == MODE_FLY) {
         machine.phase = PHASE_FLY;
         next_shot = shot_position(planned);
-        motion_fly(shot_position(segment.count - 1) + run_up(), fly_cruise);
+        motion_fly(shot_position(segment.count - 1) + run_up(), fly_cruise, planned_step);
     } else {
         machine.phase = PHASE_STEP;
         motion_move(shot_position(planned), 0);
@@ -245,32 +274,6 @@ void sweep_advance(void)
     default:
         break;
     }
-}
-
-uint8_t sweep_planned_step(int32_t position)
-{
-    uint8_t may;
-
-    if (position != next_shot || machine.phase != PHASE_FLY)
-        return 0;
-    if (!motion_cruising())
-        return 0; /* comes to rest in PHASE_FLY: an alarm */
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        may = ledger_may(&steps_ledger, first_id + planned);
-    }
-    if (!may) {
-        machine.hold_reason = HOLD_NO_CREDIT;
-        machine.phase = PHASE_BRAKE;
-        motion_halt();
-        return 0;
-    }
-    next_shot += segment.pitch;
-    if (++planned == segment.count) {
-        machine.phase = PHASE_FINISH;
-        motion_halt();
-    }
-    return ENTRY_TRIGGER;
 }
 
 void sweep_hold(uint8_t reason)

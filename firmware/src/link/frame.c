@@ -1,7 +1,7 @@
 #include "frame.h"
 
-#include "../protocol.h"
-#include "flash.h"
+#include "protocol.h"
+#include "board/flash.h"
 
 /* A kilobyte of flash: with a smaller table the longest report costs more time than a step at full speed leaves. */
 static const uint32_t table[256] IN_FLASH = {
