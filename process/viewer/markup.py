@@ -9,7 +9,7 @@ from acquire.contract.colormaps import LEVELS, table
 from acquire.contract.messaging.messages import FaultReport, Status
 from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S, format_bytes, format_duration
-from process.viewer.rig_client.commands import Note
+from process.viewer.rig_client.commands import CommandNote
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.stream.colouring import PROVISIONAL_RGB, Legend
 from process.viewer.stream.streams import LinkNews
@@ -86,7 +86,7 @@ def panel_html(snapshot: Snapshot, now_ns: int, picture: Picture) -> str:
     return f'<div class="sw" {_data(snapshot, head)}>{"".join(parts)}</div>'
 
 
-def note_html(note: Note, now_ns: int) -> str:
+def note_html(note: CommandNote, now_ns: int) -> str:
     """What became of the last click; empty when it is long ago."""
     if not note.text or now_ns - note.at_ns > NOTE_SHOWN_NS:
         return ""

@@ -23,8 +23,8 @@ from process.viewer.panels.rig_panel import RigPanel
 from process.viewer.panels.scans_panel import ScansPanel
 from process.viewer.panels.status_panel import Panel
 from process.viewer.panels.view_panel import ViewPanel
-from process.viewer.rig_client.commands import CommandLine
-from process.viewer.rig_client.feed import Feed, Snapshot
+from process.viewer.rig_client.commands import CommandThread
+from process.viewer.rig_client.feed import FeedThread, Snapshot
 from process.viewer.scene.scene import RigShown, Scene
 from process.viewer.server.access_control import Gate
 from process.viewer.server.guarded_server import Page, close_page, listen, open_page
@@ -88,7 +88,7 @@ class Viewer:
         self._scans: ScansPanel | None = None
         self._watching = False
         self._panel = Panel(self._page, view_only=view_only)
-        self._commands = None if view_only else CommandLine(run_dir, config.rig.limits.command_s, wake.set)
+        self._commands = None if view_only else CommandThread(run_dir, config.rig.limits.command_s, wake.set)
         if self._commands is not None:
             self._controls = RigPanel(self._page, self._commands)
         tabs = None if view_only else self._page.gui.add_tab_group()
@@ -106,7 +106,7 @@ class Viewer:
                 self._measuring = Measuring(self._page, self._scene.cloud, wake.set)
             with tabs.add_tab("Scans"):
                 self._scans = ScansPanel(self._page, config.data_dir, self._scene.delivery, wake.set)
-        self._feed = Feed(run_dir, wake, self._clock)
+        self._feed = FeedThread(run_dir, wake, self._clock)
         self._pictured_ns = 0
 
     def __enter__(self) -> Viewer:

@@ -73,6 +73,7 @@ class FakeRig:
     silent_commands: bool = False
     """True: commands are taken and never answered."""
     commands: list[Command] = field(default_factory=list)
+    """Each request once, however often it came."""
 
     def __post_init__(self) -> None:
         self._lock = threading.Lock()
@@ -214,7 +215,8 @@ class FakeRig:
         if received is None or not isinstance(received.message, Command):
             return
         command = received.message
-        self.commands.append(command)
+        if all(command.request_id != known.request_id for known in self.commands):
+            self.commands.append(command)
         self.commanded.set()
         if self.silent_commands:
             return

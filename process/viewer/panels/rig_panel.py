@@ -14,7 +14,7 @@ import viser
 
 from acquire.contract.messaging.messages import Status
 from process.viewer.markup import note_html
-from process.viewer.rig_client.commands import CommandLine
+from process.viewer.rig_client.commands import CommandThread
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.rig_client.lease import Lease
 from process.viewer.status_text import allowed, heading
@@ -33,7 +33,7 @@ MAX_STEPS = 10_000_000
 class RigPanel:
     """Start, pause, resume, stop; jog, go to, home; preview, lamp; who holds control."""
 
-    def __init__(self, server: viser.ViserServer, commands: CommandLine) -> None:
+    def __init__(self, server: viser.ViserServer, commands: CommandThread) -> None:
         self._server = server
         self._commands = commands
         self._lease = Lease()

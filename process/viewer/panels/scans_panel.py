@@ -21,7 +21,7 @@ from acquire.contract.units import NS_PER_S
 from process.viewer.exports.exports import View
 from process.viewer.exports.files import file_of, report_of, screenshot_of
 from process.viewer.exports.results_list import Entry, Opened, list_scans, open_scan, read_report
-from process.viewer.rig_client.feed import Snapshot, TileNews
+from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.streams import Delivery
 
@@ -156,15 +156,15 @@ class ScansPanel:
             if self._follow.value and self.opened is not None:
                 self._open(LIVE)
 
-    def news(self, news: TileNews) -> TileNews:
+    def news(self, news: TileChanges) -> TileChanges:
         """What the cloud has to take: the rig's news, or all of another scan when the choice has changed."""
         if news.reset:
             self._live.clear()
         self._live.update(news.tiles)
         if self._switched:
             self._switched = False
-            return TileNews(True, dict(self._live if self.opened is None else self.opened.tiles))
-        return news if self.opened is None else TileNews()
+            return TileChanges(True, dict(self._live if self.opened is None else self.opened.tiles))
+        return news if self.opened is None else TileChanges()
 
     @property
     def title(self) -> str:

@@ -1,45 +1,30 @@
-"""Owns the viewer's way to the daemon: one thread sends requests in the order of the clicks and collects the replies.
-
-A click is sent at once or not at all: with no daemon at the other end it is refused here, never kept for a daemon
-that comes up later, when nobody expects the stage to move.
-"""
+"""The page's commands to the daemon: one thread sends them in the order of the clicks and collects the replies."""
 
 from __future__ import annotations
 
 import os
-import queue
 import threading
-import uuid
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import zmq
 
-from acquire.contract.errors import ProtocolError
-from acquire.contract.messaging.lanes import Sender, open_socket, receive
+from acquire.contract.messaging.lanes import Sender, arrived, connect
 from acquire.contract.messaging.messages import Command, Reply
 from acquire.contract.process.clocks import Clock, MonotonicClock
-from acquire.contract.process.run_dir import endpoint
-from acquire.contract.units import NS_PER_S
+from acquire.contract.rig_client.commands import RETRY_MS, CommandClient, CommandState, CommandUpdate, new_command
 
-QUEUE_LENGTH = 16
-STALE_NS = 500_000_000
-"""A click that waited longer (this process was frozen) is not sent, unless it is a stop."""
-BEAT_STALE_NS = 250_000_000
-"""Beats bunch up on a jittery tunnel; a late one must not move the stage on."""
-CONNECTING_NS = 300_000_000
-"""A click is tried again for so long: the lanes of a daemon that has just started connect one after the other."""
 POLL_MS = 200
-RETRY_MS = 20
+MOST_AT_ONCE = 64
+"""Replies that are taken in one turn."""
 JOIN_TIMEOUT_S = 5.0
-RECONNECT_MS = 100
 
 
 @dataclass(frozen=True)
-class Note:
+class CommandNote:
     """What became of the last click, for people."""
 
     text: str = ""
@@ -47,47 +32,21 @@ class Note:
     at_ns: int = 0
 
 
-@dataclass(frozen=True)
-class _Click:
-    name: str
-    args: dict[str, Any]
-    at_ns: int
-    client: str = ""
-
-    @property
-    def beat(self) -> bool:
-        """One of many that follow each other: nothing is said of it unless it is refused, and a late one is dropped."""
-        return self.name == "jog_hold" or self.args.get("action") == "renew"
-
-
-@dataclass(frozen=True)
-class _Pending:
-    name: str
-    deadline_ns: int
-    beat: bool = False
-
-
-@dataclass
-class CommandLine:
+class CommandThread:
     """Sends commands from a thread of its own; :meth:`submit` never blocks and is safe from any thread."""
 
-    run_dir: Path
-    timeout_s: float
-    """How long a reply is waited for (limits.command_s)."""
-    on_note: Callable[[], None] = lambda: None
-    """Called from the thread when there is a new note."""
-    clock: Clock = field(default_factory=MonotonicClock)
-
-    def __post_init__(self) -> None:
-        self._queue: queue.Queue[_Click] = queue.Queue(QUEUE_LENGTH)
-        self._pending: dict[str, _Pending] = {}
-        self._note = Note()
+    def __init__(
+        self, run_dir: Path, timeout_s: float, on_note: Callable[[], None] = lambda: None, clock: Clock | None = None
+    ) -> None:
+        """``timeout_s``: how long a reply is waited for (limits.command_s); ``on_note`` is called from the thread."""
+        self._run_dir, self._timeout_s, self._on_note = run_dir, timeout_s, on_note
+        self._clock = clock or MonotonicClock()
+        self._commands = CommandClient(self._take_update, timeout_s, self._clock)
         self._closing = False
-        self.beats_dropped = 0
-        """Beats that came too late and were not sent."""
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_write, False)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._thread = threading.Thread(target=self._run, name="viewer-commands")
+        self.note = CommandNote()
+        """What became of the last click."""
 
     def start(self) -> None:
         """Begin to send."""
@@ -96,114 +55,60 @@ class CommandLine:
     def close(self) -> None:
         """End the thread and close its socket; requests without a reply are given up."""
         self._closing = True
-        self._wake()
+        os.eventfd_write(self._wake, 1)
         self._thread.join(JOIN_TIMEOUT_S)
-        os.close(self._wake_write)
-        os.close(self._wake_read)
+        os.close(self._wake)
 
-    @property
-    def note(self) -> Note:
-        """What became of the last click."""
-        return self._note
+    def submit(self, name: str, args: dict[str, Any] | None = None, *, client: str = "") -> None:
+        """Have one command sent in the name of ``client``; a second click while the first is under way is none."""
+        command = new_command(name, args or {}, client)
+        self._commands.put(command, once=name != "stop" and not _is_beat(command))
+        os.eventfd_write(self._wake, 1)
 
-    def submit(self, name: str, args: dict[str, Any] | None = None, *, client: str = "") -> bool:
-        """Queue one request in the name of ``client``; False (with a note) if the queue is full."""
-        try:
-            self._queue.put_nowait(_Click(name, args or {}, self.clock.now_ns(), client))
-        except queue.Full:
-            self._say(f"{name} was not sent: too many requests are waiting; try again", ok=False)
-            return False
-        self._wake()
-        return True
-
-    def _wake(self) -> None:
-        try:
-            os.write(self._wake_write, b"x")
-        except BlockingIOError:
-            return  # the pipe is full of wake-ups already
-
-    def _say(self, text: str, *, ok: bool) -> None:
-        self._note = Note(text, ok, self.clock.now_ns())
-        self.on_note()
+    # ---- in the thread ----
 
     def _run(self) -> None:
         context: zmq.Context[Any] = zmq.Context()
-        socket = open_socket(context, zmq.DEALER, "command")
+        socket = connect(context, zmq.DEALER, self._run_dir, "command", immediate=True)
         try:
-            socket.setsockopt(zmq.IMMEDIATE, 1)  # queue only for a daemon that is there
-            socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-            socket.connect(endpoint(self.run_dir, "command"))
             self._talk(socket)
         finally:
             socket.close(0)
             context.term()
 
-    def _talk(self, socket: Any) -> None:
-        poller = zmq.Poller()
-        poller.register(self._wake_read, zmq.POLLIN)
-        poller.register(socket, zmq.POLLIN)
+    def _talk(self, socket: zmq.Socket[Any]) -> None:
         sender = Sender(socket)
-        clicks: deque[_Click] = deque()
+        poller = zmq.Poller()
+        for source in (self._wake, socket):
+            poller.register(source, zmq.POLLIN)
         while not self._closing:
-            ready = dict(poller.poll(RETRY_MS if clicks else POLL_MS))
-            if self._wake_read in ready:
-                os.read(self._wake_read, 4096)
-            while not self._queue.empty():
-                clicks.append(self._queue.get_nowait())
-            while clicks and self._settled(clicks[0], sender):
-                clicks.popleft()
-            if socket in ready:
-                self._take_reply(socket)
-            self._give_up_overdue()
+            poller.poll(RETRY_MS if self._commands.connecting else POLL_MS)
+            with suppress(BlockingIOError):
+                os.eventfd_read(self._wake)
+            for received in arrived(socket, MOST_AT_ONCE):
+                if isinstance(received.message, Reply):
+                    self._commands.take(received.message)
+            self._commands.turn(sender)
 
-    def _settled(self, click: _Click, sender: Sender) -> bool:
-        """Send one click; False if it should be tried again, because a daemon may be just connecting."""
-        if click.name != "stop" and not click.beat and self._on_its_way(click.name):
-            return True
-        now_ns = self.clock.now_ns()
-        too_old = now_ns - click.at_ns > (BEAT_STALE_NS if click.beat else STALE_NS)
-        request_id = uuid.uuid4().hex
-        if too_old and click.beat:
-            self.beats_dropped += 1
-            return True
-        if too_old and click.name != "stop":
-            self._say(f"{click.name} was not sent in time; nothing has moved", ok=False)
-            return True
-        command = Command(request_id=request_id, name=click.name, args=click.args, client=click.client)
-        if sender.send(command):
-            self._pending[request_id] = _Pending(click.name, now_ns + round(self.timeout_s * NS_PER_S), click.beat)
-            if not click.beat:
-                self._say(f"{click.name} ...", ok=True)
-            return True
-        if now_ns - click.at_ns > CONNECTING_NS:
-            self._say(f"{click.name} was not sent: no rig daemon answers; start it with 'sweepscope up'", ok=False)
-            return True
-        return False
+    def _take_update(self, update: CommandUpdate) -> None:
+        is_beat, ok = _is_beat(update.command), update.state in (CommandState.SENT, CommandState.DONE)
+        if is_beat and (ok or update.state is CommandState.STALE):
+            return  # one of many that follow each other
+        self.note = CommandNote(f"{update.command.name}{self._words(update)}", ok, self._clock.now_ns())
+        self._on_note()
 
-    def _on_its_way(self, name: str) -> bool:
-        """A second click while the first waits for its reply is no new request."""
-        return any(waiting.name == name and not waiting.beat for waiting in self._pending.values())
+    def _words(self, update: CommandUpdate) -> str:
+        error = update.reply.error if update.reply is not None else ""
+        return {
+            CommandState.SENT: " ...",
+            CommandState.DONE: ": done",
+            CommandState.REFUSED: f" was refused: {error}",
+            CommandState.NO_DAEMON: " was not sent: no rig daemon answers; start it with 'sweepscope up'",
+            CommandState.STALE: " was not sent in time; nothing has moved",
+            CommandState.NO_ANSWER: f": no answer within {self._timeout_s:g} s; look at the state of the rig",
+        }[update.state]
 
-    def _take_reply(self, socket: Any) -> None:
-        try:
-            received = receive(socket)
-        except ProtocolError:
-            return  # its request runs into its time-out, which is said
-        if received is None or not isinstance(received.message, Reply):
-            return
-        waiting = self._pending.pop(received.message.request_id, None)
-        if waiting is None:
-            return
-        if received.message.ok and waiting.beat:
-            return
-        if received.message.ok:
-            self._say(f"{waiting.name}: done", ok=True)
-        else:
-            self._say(f"{waiting.name} was refused: {received.message.error}", ok=False)
 
-    def _give_up_overdue(self) -> None:
-        now_ns = self.clock.now_ns()
-        overdue = {request_id for request_id, waiting in self._pending.items() if waiting.deadline_ns < now_ns}
-        for request_id in overdue:
-            name = self._pending.pop(request_id).name
-            self._say(f"{name}: no answer within {self.timeout_s:g} s; look at the state of the rig", ok=False)
+def _is_beat(command: Command) -> bool:
+    """True for calls that repeat while a button is held or control is kept: only a refusal of one is worth a note."""
+    return command.name == "jog_hold" or command.args.get("action") == "renew"

@@ -19,7 +19,7 @@ from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S
 from process.viewer.markup import Picture
-from process.viewer.rig_client.feed import Snapshot, TileNews
+from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Bounds
 from process.viewer.server.guarded_server import Page
 from process.viewer.stream.colouring import Look
@@ -71,7 +71,7 @@ class Scene:
     def show(
         self,
         snapshot: Snapshot,
-        news: TileNews,
+        news: TileChanges,
         image: NDArray[np.uint8] | None,
         shown: RigShown,
         opened: Path | None = None,

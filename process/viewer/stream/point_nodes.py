@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.units import NS_PER_S
-from process.viewer.rig_client.feed import TileNews
+from process.viewer.rig_client.feed import TileChanges
 from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, power_of_two
 
 from .colouring import (
@@ -131,7 +131,7 @@ class Cloud:
 
     # ---- what changes ----
 
-    def take(self, news: TileNews) -> None:
+    def take(self, news: TileChanges) -> None:
         """Note tiles that changed; a snapshot that only repeats what is known changes nothing."""
         if not news.reset and not news.tiles:
             return

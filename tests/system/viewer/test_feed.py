@@ -1,4 +1,4 @@
-"""The viewer's ear and voice over real sockets, with a scripted rig at the other end."""
+"""What the page hears and sends over real sockets, with a scripted rig at the other end."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.messaging.messages import Picture, ResultTiles, Status
-from process.viewer.rig_client.commands import BEAT_STALE_NS, CommandLine, _Click
-from process.viewer.rig_client.feed import Feed, Snapshot
+from process.viewer.rig_client.commands import CommandThread
+from process.viewer.rig_client.feed import FeedThread, Snapshot
 from tests.fakes.fake_results import SCAN_UID, FakeRig, hill_tiles
 from tests.waiting import WALL_CLOCK_S, wait_for
 
@@ -24,14 +24,14 @@ def wake() -> threading.Event:
 
 
 @pytest.fixture
-def feed(run_dir: Path, wake: threading.Event) -> Iterator[Feed]:
-    feed = Feed(run_dir, wake)
+def feed(run_dir: Path, wake: threading.Event) -> Iterator[FeedThread]:
+    feed = FeedThread(run_dir, wake)
     feed.start()
     yield feed
     feed.close()
 
 
-def until(feed: Feed, wake: threading.Event, wanted: Callable[[Snapshot], bool]) -> Snapshot:
+def until(feed: FeedThread, wake: threading.Event, wanted: Callable[[Snapshot], bool]) -> Snapshot:
     def pause() -> None:
         wake.wait(0.1)
         wake.clear()
@@ -44,7 +44,7 @@ def through(frame_index: int) -> Callable[[Snapshot], bool]:
     return lambda now: now.progress is not None and now.progress.folded_through == frame_index
 
 
-def test_the_newest_status_and_all_changed_tiles_arrive(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_the_newest_status_and_all_changed_tiles_arrive(feed: FeedThread, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         rig.set_status(state="sweeping", committed=12)
         assert rig.subscribed.wait(WALL_CLOCK_S)
@@ -57,7 +57,7 @@ def test_the_newest_status_and_all_changed_tiles_arrive(feed: Feed, wake: thread
         assert feed.take_tiles().tiles == {}
 
 
-def test_services_may_come_late_go_and_come_back(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_services_may_come_late_go_and_come_back(feed: FeedThread, wake: threading.Event, run_dir: Path) -> None:
     for _ in range(2):
         with FakeRig(run_dir):
             until(feed, wake, lambda now: now.daemon.connected and now.worker.connected and now.status is not None)
@@ -70,7 +70,7 @@ def test_services_that_were_there_before_are_seen_at_once_even_if_silent(
     _: int, run_dir: Path, wake: threading.Event
 ) -> None:
     with FakeRig(run_dir):
-        feed = Feed(run_dir, wake)
+        feed = FeedThread(run_dir, wake)
         feed.start()
         try:
             until(feed, wake, lambda now: now.daemon.connected and now.worker.connected)
@@ -81,7 +81,7 @@ def test_services_that_were_there_before_are_seen_at_once_even_if_silent(
 def test_whoever_comes_late_gets_everything(run_dir: Path, wake: threading.Event) -> None:
     with FakeRig(run_dir) as rig:
         rig.publish_tiles(TILES, folded_through=20)
-        feed = Feed(run_dir, wake)
+        feed = FeedThread(run_dir, wake)
         feed.start()
         until(feed, wake, through(20))
         news = feed.take_tiles()
@@ -91,7 +91,7 @@ def test_whoever_comes_late_gets_everything(run_dir: Path, wake: threading.Event
 
 
 def test_a_gap_is_counted_and_answered_by_asking_for_everything(
-    feed: Feed, wake: threading.Event, run_dir: Path
+    feed: FeedThread, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
         assert rig.subscribed.wait(WALL_CLOCK_S)
@@ -110,7 +110,9 @@ def test_a_gap_is_counted_and_answered_by_asking_for_everything(
         wait_for(all_there, "seven tiles", why=tiles.keys)
 
 
-def test_another_scan_forgets_the_cloud_of_the_one_before(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_another_scan_forgets_the_cloud_of_the_one_before(
+    feed: FeedThread, wake: threading.Event, run_dir: Path
+) -> None:
     with FakeRig(run_dir) as rig:
         assert rig.subscribed.wait(WALL_CLOCK_S)
         rig.publish_tiles(TILES[:6], folded_through=500)
@@ -124,7 +126,7 @@ def test_another_scan_forgets_the_cloud_of_the_one_before(feed: Feed, wake: thre
 
 
 def test_a_message_that_cannot_be_read_is_counted_and_the_next_one_is_taken(
-    feed: Feed, wake: threading.Event, run_dir: Path
+    feed: FeedThread, wake: threading.Event, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
         assert rig.subscribed.wait(WALL_CLOCK_S)
@@ -137,19 +139,19 @@ def test_a_message_that_cannot_be_read_is_counted_and_the_next_one_is_taken(
 
 
 @pytest.fixture
-def commands(run_dir: Path) -> Iterator[CommandLine]:
-    line = CommandLine(run_dir, timeout_s=0.5)
+def commands(run_dir: Path) -> Iterator[CommandThread]:
+    line = CommandThread(run_dir, timeout_s=0.5)
     line.start()
     yield line
     line.close()
 
 
-def note_of(line: CommandLine, wanted: str) -> str:
+def note_of(line: CommandThread, wanted: str) -> str:
     wait_for(lambda: wanted in line.note.text, wanted, why=lambda: line.note)
     return line.note.text
 
 
-def test_clicks_reach_the_daemon_in_their_order(commands: CommandLine, run_dir: Path) -> None:
+def test_clicks_reach_the_daemon_in_their_order(commands: CommandThread, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         commands.submit("pause")
         note_of(commands, "pause: done")
@@ -160,14 +162,14 @@ def test_clicks_reach_the_daemon_in_their_order(commands: CommandLine, run_dir: 
         assert len({command.request_id for command in rig.commands}) == 3
 
 
-def test_a_refusal_is_shown_in_the_daemons_words(commands: CommandLine, run_dir: Path) -> None:
+def test_a_refusal_is_shown_in_the_daemons_words(commands: CommandThread, run_dir: Path) -> None:
     with FakeRig(run_dir, refuse="a sweep is running"):
         commands.submit("scan", {"name": "frog"})
         note_of(commands, "scan was refused: a sweep is running")
         assert not commands.note.ok
 
 
-def test_a_click_without_a_daemon_is_not_kept_for_one_that_comes_later(commands: CommandLine, run_dir: Path) -> None:
+def test_a_click_without_a_daemon_is_not_kept_for_one_that_comes_later(commands: CommandThread, run_dir: Path) -> None:
     commands.submit("scan", {"name": "frog"})
     note_of(commands, "scan was not sent: no rig daemon")
     with FakeRig(run_dir) as rig:
@@ -176,14 +178,14 @@ def test_a_click_without_a_daemon_is_not_kept_for_one_that_comes_later(commands:
         assert [command.name for command in rig.commands] == ["status"]
 
 
-def test_an_answer_that_does_not_come_is_said_after_the_time_out(commands: CommandLine, run_dir: Path) -> None:
+def test_an_answer_that_does_not_come_is_said_after_the_time_out(commands: CommandThread, run_dir: Path) -> None:
     with FakeRig(run_dir, silent_commands=True):
         commands.submit("pause")
         note_of(commands, "pause: no answer within 0.5 s")
 
 
 def test_a_second_click_while_the_first_is_on_its_way_is_not_sent_but_a_second_stop_is(
-    commands: CommandLine, run_dir: Path
+    commands: CommandThread, run_dir: Path
 ) -> None:
     with FakeRig(run_dir, silent_commands=True) as rig:
         for name in ("scan", "scan", "stop", "stop"):
@@ -192,29 +194,27 @@ def test_a_second_click_while_the_first_is_on_its_way_is_not_sent_but_a_second_s
         assert [command.name for command in rig.commands] == ["scan", "stop", "stop"]
 
 
-def test_a_late_beat_of_a_held_jog_is_dropped_so_that_bunched_ones_do_not_move_the_stage_on(
-    commands: CommandLine, run_dir: Path
+def test_beats_of_a_held_jog_are_all_sent_in_the_name_of_their_browser_and_nothing_is_said_of_them(
+    commands: CommandThread, run_dir: Path
 ) -> None:
     with FakeRig(run_dir) as rig:
         commands.submit("status")
         note_of(commands, "status: done")
-        late_ns = commands.clock.now_ns() - BEAT_STALE_NS - 1
-        commands._queue.put(_Click("jog_hold", {"direction": 1}, late_ns, "browser 1"))
-        commands.submit("jog_hold", {"direction": -1}, client="browser 1")
-        commands.submit("pause")
-        note_of(commands, "pause: done")
-        sent = [(command.name, command.args, command.client) for command in rig.commands[1:]]
-        assert sent == [("jog_hold", {"direction": -1}, "browser 1"), ("pause", {}, "")]
-        assert commands.beats_dropped == 1
+        for direction in (1, -1):
+            commands.submit("jog_hold", {"direction": direction}, client="browser 1")
+        wait_for(lambda: len(rig.commands) == 3, "both beats", why=lambda: rig.commands)
+        sent = [(command.name, command.args["direction"], command.client) for command in rig.commands[1:]]
+        assert sent == [("jog_hold", 1, "browser 1"), ("jog_hold", -1, "browser 1")]
+        assert commands.note.text == "status: done"
 
 
-def test_a_refused_beat_is_said(commands: CommandLine, run_dir: Path) -> None:
+def test_a_refused_beat_is_said(commands: CommandThread, run_dir: Path) -> None:
     with FakeRig(run_dir, refuse="anna holds control"):
         commands.submit("jog_hold", {"direction": 1})
         note_of(commands, "jog_hold was refused: anna holds control")
 
 
-def test_camera_pictures_come_only_while_somebody_looks(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_camera_pictures_come_only_while_somebody_looks(feed: FeedThread, wake: threading.Event, run_dir: Path) -> None:
     with FakeRig(run_dir) as rig:
         feed.watch(True)
         assert rig.watched.wait(WALL_CLOCK_S)
@@ -230,7 +230,9 @@ def test_camera_pictures_come_only_while_somebody_looks(feed: Feed, wake: thread
         assert rig.unwatched.wait(WALL_CLOCK_S)
 
 
-def test_a_picture_with_fewer_pixels_than_it_says_is_dropped(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_a_picture_with_fewer_pixels_than_it_says_is_dropped(
+    feed: FeedThread, wake: threading.Event, run_dir: Path
+) -> None:
     with FakeRig(run_dir) as rig:
         feed.watch(True)
         assert rig.watched.wait(WALL_CLOCK_S)
@@ -238,7 +240,9 @@ def test_a_picture_with_fewer_pixels_than_it_says_is_dropped(feed: Feed, wake: t
         assert until(feed, wake, lambda now: now.messages_dropped > 0).picture is None
 
 
-def test_a_status_is_taken_even_if_it_is_the_only_thing_there(feed: Feed, wake: threading.Event, run_dir: Path) -> None:
+def test_a_status_is_taken_even_if_it_is_the_only_thing_there(
+    feed: FeedThread, wake: threading.Event, run_dir: Path
+) -> None:
     with FakeRig(run_dir, status=Status(state="homing"), worker=False):
         now = until(feed, wake, lambda now: now.status is not None)
         assert now.status is not None

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from process.viewer.rig_client.feed import TileNews
+from process.viewer.rig_client.feed import TileChanges
 from process.viewer.rig_client.tile import Bounds, Tile
 from process.viewer.stream import point_nodes as cloud_module
 from process.viewer.stream.browser_stream import LEAST_STEP_BYTES, STEP_NS, Courier
@@ -67,7 +67,7 @@ class Rig:
         return [courier.turn(self.cloud, self.now_ns) for courier in self.couriers]
 
     def show(self, *, reset: bool = False, **tiles: Tile) -> None:
-        self.cloud.take(TileNews(reset, {int(name[1:]): points for name, points in tiles.items()}))
+        self.cloud.take(TileChanges(reset, {int(name[1:]): points for name, points in tiles.items()}))
         for _ in range(200):
             if not any(self.step()):
                 return
@@ -104,7 +104,7 @@ def test_a_change_that_nobody_would_see_waits_and_is_shown_in_the_end() -> None:
     seen = len(rig.browsers[0].log)
     moved = replace(tile(1000), crossing=np.ones(1000, np.float32))
     moved.xyz[7] += 1.0
-    rig.cloud.take(TileNews(tiles={1: moved}))
+    rig.cloud.take(TileChanges(tiles={1: moved}))
     assert rig.step() == [0]
     rig.now_ns += SMALL_NS
     assert rig.step() == [1000 * 15]
@@ -163,7 +163,7 @@ def test_a_large_cloud_comes_as_an_overview_first_and_what_is_near_the_eye_is_re
     browser = Browser(rate_bytes_per_s=200_000)
     browser.eye_mm = np.array([90.0, 0.0, 0.0])
     rig = Rig(browser)
-    rig.cloud.take(TileNews(tiles={number: tile(10_000, (10.0 * number, 0.0, 0.0)) for number in range(10)}))
+    rig.cloud.take(TileChanges(tiles={number: tile(10_000, (10.0 * number, 0.0, 0.0)) for number in range(10)}))
     assert rig.step() == [pytest.approx(100_000 // 32 * 15, rel=0.05)]
     assert len(browser.nodes) == 10, "all of it is there, thinly"
     seen = len(browser.log)
@@ -175,13 +175,13 @@ def test_a_large_cloud_comes_as_an_overview_first_and_what_is_near_the_eye_is_re
 def test_a_step_is_what_the_link_carries_and_the_next_waits_until_it_has_arrived() -> None:
     slow, fast = Browser(rate_bytes_per_s=10_000), Browser()
     rig = Rig(slow, fast)
-    rig.cloud.take(TileNews(tiles={number: tile(1000) for number in range(40)}))
+    rig.cloud.take(TileChanges(tiles={number: tile(1000) for number in range(40)}))
     first = rig.step()
     assert first[0] < LEAST_STEP_BYTES + 1000 * 15
     assert first[1] == 40 * 1000 * 15
     slow.busy = True
     assert rig.step() == [0, 0]
-    rig.cloud.take(TileNews(tiles={3: tile(500)}))
+    rig.cloud.take(TileChanges(tiles={3: tile(500)}))
     assert rig.step() == [0, 500 * 15], "a browser that hangs keeps nobody waiting"
 
 
@@ -192,7 +192,7 @@ def test_a_browser_that_falls_behind_gets_overviews_of_what_changed(monkeypatch:
     sent = [0, 0]
     for turn in range(5):
         moved = tile(4000, (0.0, 0.0, float(turn)))
-        rig.cloud.take(TileNews(tiles=dict.fromkeys(range(8), moved)))
+        rig.cloud.take(TileChanges(tiles=dict.fromkeys(range(8), moved)))
         sent = [total + step for total, step in zip(sent, rig.step(), strict=True)]
     assert sent[1] == 5 * 8 * 4000 * 15
     assert sent[0] < sent[1] / 20

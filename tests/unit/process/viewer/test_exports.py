@@ -17,7 +17,7 @@ from process.viewer.exports.exports import View, page_html, ply_bytes
 from process.viewer.exports.figure import figure_png
 from process.viewer.exports.files import on_black, report_of
 from process.viewer.exports.results_list import list_scans, open_scan
-from process.viewer.rig_client.feed import Snapshot, TileNews
+from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.colouring import Look
 from process.viewer.stream.point_nodes import Cloud
@@ -42,7 +42,7 @@ def tiles() -> dict[int, Tile]:
 
 def view(**look: Any) -> View:
     cloud = Cloud(Look(**look))
-    cloud.take(TileNews(tiles=tiles()))
+    cloud.take(TileChanges(tiles=tiles()))
     cloud.settle(10**12)
     return View(
         "a <b>frog</b>", cloud.tiles, cloud.look, cloud.range, cloud.plane, cloud.legend(), [("Outcome", "complete")]
@@ -131,15 +131,15 @@ def test_a_report_of_a_scan_without_results_is_refused_in_one_line(data_dir: Pat
 def test_going_back_to_the_rigs_own_scan_shows_what_came_meanwhile(data_dir: Path) -> None:
     panel = _panel(data_dir)
     first, second, *_ = tiles().items()
-    assert panel.news(TileNews(tiles=dict([first]))).tiles == dict([first])
+    assert panel.news(TileChanges(tiles=dict([first]))).tiles == dict([first])
     panel._wanted = "older"
     panel._show("older", open_scan(list_scans(data_dir)[0]))
-    shown = panel.news(TileNews(tiles=dict([second])))
+    shown = panel.news(TileChanges(tiles=dict([second])))
     assert shown.reset
     assert sum(tile.count for tile in shown.tiles.values()) == 1728
-    assert panel.news(TileNews(tiles=dict([second]))).tiles == {}
+    assert panel.news(TileChanges(tiles=dict([second]))).tiles == {}
     panel._open("the rig's own")
-    back = panel.news(TileNews())
+    back = panel.news(TileChanges())
     assert (back.reset, back.tiles) == (True, dict([first, second]))
     panel.close()
 
