@@ -167,11 +167,9 @@ def _no_signal_handler() -> None:
 
 
 def _no_bounds() -> None:
-    import msgpack
-
     from acquire.contract.messaging import codec
 
-    _replace(codec, "_unpack", lambda header: msgpack.unpackb(header, strict_map_key=False))
+    _replace(codec, "MALFORMED", ())
 
 
 def _no_writer_time_out() -> None:

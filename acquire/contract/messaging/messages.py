@@ -417,9 +417,9 @@ class ResultEnd(Message, frozen=True, kw_only=True, tag="result_end"):
     message: Text = ""
 
 
-FramesMessage = Start | Image | End | Hello | StartAck | Ack | EndAck | Nack
-LiveMessage = Start | Image | End
-CommandMessage = Command
-ReplyMessage = Reply
-ResultMessage = ResultProgress | ResultTiles | ResultMaps | ResultEnd
-AnyMessage = FramesMessage | Status | Command | Reply | Picture | ResultMessage
+AnyMessage = (
+    Start | Image | End | Hello | StartAck | Ack | EndAck | Nack
+    | Status | Command | Reply | Picture
+    | ResultProgress | ResultTiles | ResultMaps | ResultEnd
+)  # fmt: skip
+"""By lane: frames (`start`, `image` and `end` on the live lane too); status, command, preview; results."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import msgpack
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from acquire.contract.errors import ProtocolError
+from acquire.contract.messaging import codec
 from acquire.contract.messaging.codec import ProtocolMismatchError, decode, decode_as, encode
 from acquire.contract.messaging.messages import (
     Ack,
@@ -102,7 +105,7 @@ def test_another_major_version_is_refused_and_both_are_named():
         b"", b"\xc1", b"\x91" * 100_000, b"\x81\xa4type\xa1\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff",
         msgpack.packb([1, 2]), msgpack.packb({"type": "nonsense", "protocol": [1, 0]}), msgpack.packb({"type": "ack"}),
         msgpack.packb({"type": 5, "protocol": [1, 0]}), msgpack.packb({"type": "hello", "protocol": "1.0"}),
-        msgpack.packb({1: 2}),
+        msgpack.packb({1: 2}), encode(Hello())[:-1], encode(Hello()) + b"x",
     ],
 )  # fmt: skip
 def test_what_is_no_message_raises_one_class_of_error(raw):
@@ -128,6 +131,38 @@ def test_a_field_out_of_bounds_is_refused(name, change):
     fields = msgpack.unpackb(encode(MESSAGES[name])) | change
     with pytest.raises(ProtocolError, match=name):
         decode(msgpack.packb(fields))
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        b"\x91" * 100_000, b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc7\x01\x05x", b"\xa1\xff",
+        b"\xdb\xff\xff\xff\xff",
+    ],
+    ids=["too deep", "huge array", "huge map", "extension", "bad UTF-8", "huge text"],
+)  # fmt: skip
+def test_what_hides_in_the_arguments_of_a_command_is_refused_without_memory_for_it(value):
+    known = msgpack.packb({"type": "command", "protocol": [1, 1], "request_id": "r", "name": "goto"})
+    raw = bytes([known[0] + 1]) + known[1:] + msgpack.packb("args") + b"\x81" + msgpack.packb("x") + value
+    tracemalloc.start()
+    try:
+        with pytest.raises(ProtocolError):
+            decode(raw)
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_header_without_a_version_is_refused():
+    fields = msgpack.unpackb(encode(MESSAGES["hello"]))
+    del fields["protocol"]
+    with pytest.raises(ProtocolError, match="protocol"):
+        decode(msgpack.packb(fields))
+
+
+def test_a_header_over_the_bound_is_refused_unread():
+    with pytest.raises(ProtocolError, match="bound"):
+        decode(bytes(codec.MAX_HEADER_BYTES + 1))
 
 
 @given(st.binary(max_size=200))
