@@ -1,4 +1,4 @@
-"""`sweepscope up`: the four services as children of one process that keeps them running and takes them along."""
+"""`sweepscope up`: runs the four services as child processes, restarts them, and ends them all."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -18,40 +18,26 @@ from tui.processes.supervisor import POLL_S, ServiceSpec, Supervisor, own_comman
 
 SERVICES = ("daemon", "writer", "worker", "viewer")
 VITAL = ("daemon", "writer")
-"""Without these there is no scan: when one is given up, all is ended."""
+"""No scan is possible without these: when one is given up, all are ended."""
 URL_NAME = "viewer.url"
 
 
-def service_specs(config_path: str | None, *, offered: bool = False) -> list[ServiceSpec]:
-    """The four services, the daemon first; and the gateway where the rig is ``offered`` to other machines."""
-    names = (*SERVICES, "gateway") if offered else SERVICES
+def service_specs(config_path: str | None, *, remote: bool = False) -> list[ServiceSpec]:
+    """The four services, the daemon first; with ``remote`` also the gateway for other machines."""
+    names = (*SERVICES, "gateway") if remote else SERVICES
     return [ServiceSpec(name, own_command(name, config_path=config_path)) for name in names]
 
 
 def read_url(run_dir: Path) -> str:
-    """The address of the page; empty while there is none."""
+    """Address of the viewer's page; empty if there is none yet."""
     with suppress(OSError, UnicodeDecodeError):
         return (run_dir / URL_NAME).read_text(encoding="utf-8").strip()
     return ""
 
 
-class UrlWatch:
-    """Says the address of the page when it is known, and again when a restarted viewer has another."""
-
-    def __init__(self, run_dir: Path, say: Callable[[str], None]) -> None:
-        self._run_dir, self._say, self.url = run_dir, say, ""
-
-    def look(self) -> None:
-        """Look once."""
-        url = read_url(self._run_dir)
-        if url and url != self.url:
-            self.url = url
-            self._say(f"the cloud is shown at {url}")
-
-
 @contextmanager
 def signals_set(event: threading.Event) -> Iterator[list[int]]:
-    """While inside, SIGTERM, SIGINT and SIGHUP only set ``event``; yields the list of those that came."""
+    """While inside, SIGTERM, SIGINT and SIGHUP only set ``event``; yields the list of received signals."""
     came: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:
@@ -68,37 +54,41 @@ def signals_set(event: threading.Event) -> Iterator[list[int]]:
 
 
 def say(text: str) -> None:
-    """A line for the person who started us."""
+    """Print a line on stdout, at once."""
     print(text, flush=True)
 
 
 def run_up(config: LoadedConfig, config_path: str | None, run_dir: Path) -> int:
-    """Run until a signal; returns the exit status.
+    """Run until a signal arrives; returns the exit status.
 
     Raises:
-        AlreadyRunningError: services of another supervisor live in ``run_dir``.
+        AlreadyRunningError: a daemon already runs in ``run_dir``.
     """
-    _refuse_a_second(run_dir)
+    if is_served(run_dir):
+        raise AlreadyRunningError(f"a daemon already runs in {run_dir}: stop it first, or set SWEEPSCOPE_RUN")
     (run_dir / URL_NAME).unlink(missing_ok=True)
     absolute = str(Path(config_path).resolve()) if config_path else None
     supervisor = Supervisor(
-        service_specs(absolute, offered=bool(config.rig.network.host)), child_environment(run_dir), _complain
+        service_specs(absolute, remote=bool(config.rig.network.host)), child_environment(run_dir), _complain
     )
     wake = threading.Event()
     with signals_set(wake) as came:
         supervisor.start()
         try:
             say(f"daemon, writer, worker and viewer run in {run_dir}; Ctrl-C ends them")
-            status = _tend_until(wake, supervisor, UrlWatch(run_dir, say))
+            status = _tend_until(wake, supervisor, run_dir)
         finally:
             supervisor.stop(config.rig.limits.stop_s + 1.0)
     return status if not came else 0
 
 
-def _tend_until(wake: threading.Event, supervisor: Supervisor, urls: UrlWatch) -> int:
+def _tend_until(wake: threading.Event, supervisor: Supervisor, run_dir: Path) -> int:
+    shown = ""
     while not wake.wait(POLL_S):
         supervisor.tend()
-        urls.look()
+        if (url := read_url(run_dir)) not in ("", shown):  # a restarted viewer has another address
+            shown = url
+            say(f"the cloud is shown at {url}")
         lost = [name for name in supervisor.given_up if name in VITAL]
         if lost:
             _complain(f"{lost[0]} cannot be kept running, so all is ended; scans on disk are safe")
@@ -107,13 +97,8 @@ def _tend_until(wake: threading.Event, supervisor: Supervisor, urls: UrlWatch) -
 
 
 def child_environment(run_dir: Path, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of the services: ours, with the directory of the sockets settled."""
+    """The environment of the services: ours, with the directory of the sockets."""
     return {**environ, "SWEEPSCOPE_RUN": str(run_dir), "PYTHONUNBUFFERED": "1"}
-
-
-def _refuse_a_second(run_dir: Path) -> None:
-    if is_served(run_dir):
-        raise AlreadyRunningError(f"a daemon already runs in {run_dir}: stop it first, or set SWEEPSCOPE_RUN")
 
 
 def _complain(text: str) -> None:

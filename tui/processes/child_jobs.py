@@ -1,6 +1,6 @@
-"""Long work of the console as child processes of this program: never in the screen's way, cancellable, accounted for.
+"""Runs long work of the console in child processes of this program, so that it never blocks the screen.
 
-A child prints JSON lines: ``{"done": n, "total": m}`` is progress, any other object a result, plain text what it says.
+A child prints lines: ``{"done": n, "total": m}`` is progress, any other JSON object a result, other text a message.
 """
 
 from __future__ import annotations
@@ -10,57 +10,57 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import IO, Any
+from typing import Any
 
 from acquire.contract.errors import EXIT_INCOMPLETE, SweepscopeError
+from tui.processes.supervisor import own_command
 
 CANCEL_S = 5.0
-"""A child that was asked to end cleans up within so long, or is killed."""
+"""Time for a cancelled child to clean up, before it is killed."""
 MAX_LINE_BYTES = 8 * 1024 * 1024
 MAX_JOBS = 4
 KEPT = 20
-"""Ended jobs that are remembered."""
+"""Number of ended jobs that are kept in the list."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work as it stands."""
+    """State of one job."""
 
     number: int
     title: str
-    """What it does, for people: ``verify 2026...-ear``."""
+    """For display, such as ``verify 2026...-ear``."""
     subject: str
-    """What it works on; two jobs on the same subject are refused."""
+    """What it works on; a second job on the same subject is refused."""
     started_s: float
     """time.monotonic()."""
     done: int = 0
     total: int = 0
-    """0 while that is not known."""
+    """0 if not known yet."""
     running: bool = True
     cancelled: bool = False
     exit_status: int | None = None
     result: dict[str, Any] | None = None
-    """The last object that it printed."""
+    """The last JSON object that it printed, other than progress."""
     words: str = ""
-    """The last plain text that it printed: the reason, if it failed."""
+    """The last text that it printed: the reason, if it failed."""
 
     @property
     def share(self) -> float | None:
-        """How far it is, 0..1; None where that is not known."""
+        """Progress, 0..1; None if not known."""
         return min(1.0, self.done / self.total) if self.total else None
 
     @property
     def ok(self) -> bool:
-        """It ended well; a scan that lacks frames is no failure of the work on it."""
+        """It succeeded; an incomplete scan is no failure of the work on it."""
         return self.exit_status in (0, EXIT_INCOMPLETE)
 
     def end_words(self) -> str:
-        """How it ended, in one line; empty while it runs."""
+        """Its result in one line; empty while it runs."""
         if self.running:
             return ""
         if self.cancelled:
@@ -68,31 +68,38 @@ class Job:
         return f"{self.title}: done" if self.ok else f"{self.title}: {self.words or f'exit status {self.exit_status}'}"
 
 
+@dataclass
+class _Running:
+    """The process of a job, and the threads that serve it."""
+
+    child: subprocess.Popen[bytes]
+    follower: threading.Thread
+    killer: threading.Timer | None = None
+
+
 class JobBoard:
-    """Starts jobs, follows them, ends them. Changes are told from threads: the callback must be safe for that."""
+    """Starts, follows and ends jobs. ``on_change`` is called from other threads: it must be thread-safe."""
 
     def __init__(self, on_change: Callable[[Job], Any], program: Sequence[str] = ()) -> None:
-        """``program``: what is run with a job's arguments; by default this program."""
+        """``program``: the command that gets a job's arguments; by default this program."""
         self._on_change = on_change
-        self._program = list(program) or [sys.executable, "-m", "tui.cli"]
+        self._program = tuple(program) or own_command()
         self.environ: dict[str, str] = {}
-        """What children are told beside this process' own environment."""
+        """Variables for the children, in addition to this process' environment."""
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._jobs: dict[int, Job] = {}
-        self._children: dict[int, subprocess.Popen[bytes]] = {}
-        self._threads: dict[int, threading.Thread] = {}
-        self._killers: dict[int, threading.Timer] = {}
+        self._running: dict[int, _Running] = {}
         self._closed = False
 
     @property
     def jobs(self) -> list[Job]:
-        """All jobs that are remembered, the newest last."""
+        """Running and recent jobs, the newest last."""
         with self._lock:
             return list(self._jobs.values())
 
     def running_on(self, subject: str) -> Job | None:
-        """The job that works on ``subject`` now."""
+        """The running job that works on ``subject``."""
         return next((job for job in self.jobs if job.running and job.subject == subject), None)
 
     def start(
@@ -102,10 +109,10 @@ class JobBoard:
         subject: str,
         on_result: Callable[[dict[str, Any]], Any] = lambda _: None,
     ) -> Job:
-        """Run this program with ``arguments``; ``on_result`` is called for each object, from the job's thread.
+        """Run this program with ``arguments``; ``on_result`` is called for each result, from the job's thread.
 
         Raises:
-            SweepscopeError: something works on the subject already, or too much runs.
+            SweepscopeError: a job works on the subject already, or too many run.
         """
         if self.running_on(subject) is not None:
             raise SweepscopeError(f"{title}: other work on it runs already; wait, or cancel that")
@@ -116,58 +123,57 @@ class JobBoard:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            start_new_session=True,  # Ctrl-C in this terminal is not meant for it
+            start_new_session=True,  # Ctrl-C in this terminal must not reach it
             env={**os.environ, "PYTHONUNBUFFERED": "1", **self.environ},
         )
         job = Job(next(self._numbers), title, subject, time.monotonic())
-        thread = threading.Thread(target=self._follow, args=(job.number, child, on_result), name=f"job-{job.number}")
-        thread.daemon = True
+        follower = threading.Thread(
+            target=self._follow, args=(job.number, child, on_result), name=f"job-{job.number}", daemon=True
+        )
         with self._lock:
-            self._jobs[job.number], self._children[job.number], self._threads[job.number] = job, child, thread
+            self._jobs[job.number], self._running[job.number] = job, _Running(child, follower)
             self._forget_old()
-        thread.start()
+        follower.start()
         self._on_change(job)
         return job
 
     def cancel(self, number: int) -> None:
-        """Ask a job to end and clean up; it is killed if it does not. Returns at once."""
-        child = self._children.get(number)
-        if child is not None and child.poll() is None:
+        """Interrupt a job, so that it cleans up; kill it after :data:`CANCEL_S`. Returns at once."""
+        running = self._running.get(number)
+        if running is not None and running.child.poll() is None:
             self._change(number, cancelled=True)
-            _interrupt(child)
-            killer = threading.Timer(CANCEL_S, _kill, [child])
-            killer.daemon = True
-            self._killers[number] = killer
-            killer.start()
+            running.child.send_signal(signal.SIGINT)
+            running.killer = threading.Timer(CANCEL_S, running.child.kill)
+            running.killer.daemon = True
+            running.killer.start()
 
     def close(self) -> None:
-        """End all jobs and wait for them; at most :data:`CANCEL_S` and a little."""
+        """Interrupt all jobs and wait for them, at most :data:`CANCEL_S` and a little."""
         self._closed = True
-        running = [child for child in self._children.values() if child.poll() is None]
-        for child in running:
-            _interrupt(child)
+        for running in self._running.values():
+            running.child.send_signal(signal.SIGINT)
         deadline_s = time.monotonic() + CANCEL_S
-        for child in running:
+        for running in self._running.values():
             try:
-                child.wait(max(0.0, deadline_s - time.monotonic()))
+                running.child.wait(max(0.0, deadline_s - time.monotonic()))
             except subprocess.TimeoutExpired:
-                _kill(child)
-        for thread in self._threads.values():
-            thread.join(1.0)
+                running.child.kill()
+        for running in self._running.values():
+            running.follower.join(1.0)
 
     # ---- a job's thread ----
 
     def _follow(self, number: int, child: subprocess.Popen[bytes], on_result: Callable[[dict[str, Any]], Any]) -> None:
         assert child.stdout is not None
         with child.stdout as lines:
-            while line := _line(lines):
-                self._hear(number, line, on_result)
+            while line := lines.readline(MAX_LINE_BYTES):  # a longer line arrives in pieces
+                self._take_line(number, line, on_result)
         status = child.wait()
-        if killer := self._killers.pop(number, None):
+        if killer := self._running[number].killer:
             killer.cancel()
         self._change(number, running=False, exit_status=status)
 
-    def _hear(self, number: int, line: bytes, on_result: Callable[[dict[str, Any]], Any]) -> None:
+    def _take_line(self, number: int, line: bytes, on_result: Callable[[dict[str, Any]], Any]) -> None:
         found = _object(line)
         if found is None:
             words = line.decode("utf-8", "replace").strip().removeprefix("sweepscope: ")
@@ -188,13 +194,7 @@ class JobBoard:
     def _forget_old(self) -> None:
         ended = [number for number, job in self._jobs.items() if not job.running]
         for number in ended[:-KEPT]:
-            for table in (self._jobs, self._children, self._threads):
-                table.pop(number, None)
-
-
-def _line(lines: IO[bytes]) -> bytes:
-    """The next line; what is longer than any line of ours is passed over in pieces."""
-    return lines.readline(MAX_LINE_BYTES)
+            del self._jobs[number], self._running[number]
 
 
 def _object(line: bytes) -> dict[str, Any] | None:
@@ -209,14 +209,3 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 def _count(value: Any) -> int:
     return value if isinstance(value, int) and value >= 0 else 0
-
-
-def _interrupt(child: subprocess.Popen[bytes]) -> None:
-    """As Ctrl-C would: the child cleans up after itself."""
-    if child.poll() is None:
-        child.send_signal(signal.SIGINT)
-
-
-def _kill(child: subprocess.Popen[bytes]) -> None:
-    if child.poll() is None:
-        child.kill()

@@ -1,4 +1,4 @@
-"""Keeps child processes running: starts them, starts again what dies, ends them all in order, leaves no orphan."""
+"""Keeps child processes running: starts and restarts them, ends them all in order, leaves no orphan."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tui.processes.parent_watch import LIFELINE_VARIABLE
 FIRST_BACK_OFF_S = 0.2
 LONGEST_BACK_OFF_S = 5.0
 HEALTHY_S = 10.0
-"""A child that lived so long starts afresh with the shortest back-off."""
+"""A child that ran so long is restarted with the shortest back-off."""
 HOPELESS_STARTS = 5
-"""A child that died so often in a row without a healthy life is given up."""
+"""A child that died so often in a row, each time before HEALTHY_S, is given up."""
 POLL_S = 0.05
 
 
 @dataclass(frozen=True)
 class ServiceSpec:
-    """One child: its name and what it runs."""
+    """Name and command line of a child."""
 
     name: str
     argv: tuple[str, ...]
@@ -50,15 +50,15 @@ class _Child:
 
 @dataclass
 class Supervisor:
-    """A set of children. All methods belong to one thread, which has to call :meth:`tend` several times a second."""
+    """A set of children. One thread calls all methods, and :meth:`tend` several times a second."""
 
     specs: Sequence[ServiceSpec]
-    """In the order of starting; the first is ended first and alone, so that the others can serve it to its end."""
+    """In the order of starting; the first is ended first and alone, so that the others serve it until then."""
     environ: Mapping[str, str]
     say: Callable[[str], None]
-    """Told about every death and restart, one line each."""
+    """Called with one line for every death and restart."""
     log_dir: Path | None = None
-    """Where the children's output goes, one file each; None: to our own streams."""
+    """Folder for the children's output, one file each; None: our own streams."""
     clock_s: Callable[[], float] = time.monotonic
     _children: list[_Child] = field(default_factory=list)
     _lifeline: tuple[int, int] | None = None
@@ -71,10 +71,10 @@ class Supervisor:
             self._launch(child)
 
     def tend(self) -> None:
-        """Notice deaths and start again what is due."""
+        """Detect deaths, and restart the children whose back-off is over."""
         for child in self._children:
             if child.process is not None and child.process.poll() is not None:
-                self._bury(child, child.process.returncode)
+                self._handle_death(child, child.process.returncode)
             elif child.restart_at_s is not None and self.clock_s() >= child.restart_at_s:
                 child.restarts += 1
                 self._launch(child)
@@ -86,16 +86,16 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """How often each child was started again."""
+        """Number of restarts of each child."""
         return {child.spec.name: child.restarts for child in self._children}
 
     @property
     def pids(self) -> dict[str, int]:
-        """Pids of the children that run now."""
+        """Process ids of the running children."""
         return {child.spec.name: child.process.pid for child in self._children if child.process is not None}
 
     def stop(self, deadline_s: float) -> None:
-        """End the first child, then the others; each gets ``deadline_s`` after SIGTERM, then SIGKILL."""
+        """End the first child, then the others: SIGTERM, and SIGKILL after ``deadline_s``."""
         for child in self._children:
             child.restart_at_s = None
         for group in (self._children[:1], self._children[1:]):
@@ -117,7 +117,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT if output else None,
-                start_new_session=True,  # Ctrl-C of the terminal reaches us alone, and we end them in order
+                start_new_session=True,  # Ctrl-C in the terminal reaches only us, and we end them in order
             )
         finally:
             if output:
@@ -130,14 +130,14 @@ class Supervisor:
         self.log_dir.mkdir(parents=True, exist_ok=True)
         return (self.log_dir / f"{name}.log").open("ab")
 
-    def _bury(self, child: _Child, return_code: int) -> None:
+    def _handle_death(self, child: _Child, return_code: int) -> None:
         lived_s = self.clock_s() - child.started_s
         child.process = None
         child.deaths_in_a_row = 1 if lived_s >= HEALTHY_S else child.deaths_in_a_row + 1
         what = f"{child.spec.name} {_how(return_code)} after {lived_s:.1f} s"
         if child.deaths_in_a_row >= HOPELESS_STARTS:
             child.given_up = True
-            self.say(f"{what}: it ended {child.deaths_in_a_row} times in a row and is given up; see what it said")
+            self.say(f"{what}: it ended {child.deaths_in_a_row} times in a row and is given up; see its log")
             return
         back_off_s = min(LONGEST_BACK_OFF_S, FIRST_BACK_OFF_S * 2 ** (child.deaths_in_a_row - 1))
         child.restart_at_s = self.clock_s() + back_off_s
@@ -153,7 +153,7 @@ class Supervisor:
                 process.wait(max(0.0, end_s - time.monotonic()))
             except subprocess.TimeoutExpired:
                 self.say(f"pid {process.pid} did not end within {deadline_s:g} s and was killed")
-            # also after a good end: a grandchild must not outlive its parent
+            # also after a normal end: a grandchild must not outlive its parent
             _signal_group(process, signal.SIGKILL)
             process.wait()
         for child in group:

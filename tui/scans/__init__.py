@@ -1,1 +1,1 @@
-"""The folder of scans."""
+"""The folder of scans: list, copy, trash."""

@@ -1,4 +1,4 @@
-"""Copies a scan elsewhere and proves it: each file is hashed as it is read, and again as it lies on the other disk."""
+"""Copies a scan to another disk and verifies the copy: each file is hashed when read, and again on the other disk."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from acquire.contract.units import format_bytes
 CHUNK_BYTES = 4 * 1024 * 1024
 MAX_FILE_BYTES = 1024 * 1024
 Progress = Callable[[int, int], None]
-"""Called with bytes done and bytes in all; copying and checking count alike."""
+"""Called with bytes done and bytes in total; every byte counts twice, for copying and for verifying."""
 
 
 class Copied(msgspec.Struct, frozen=True):
-    """A copy that was verified."""
+    """A verified copy."""
 
     to: str
     """Absolute path of the copy's folder."""
@@ -38,10 +38,10 @@ class Copied(msgspec.Struct, frozen=True):
 
 
 def copies_of(folder: Path) -> tuple[Copied, ...]:
-    """The verified copies that were made of the scan in ``folder``.
+    """The verified copies of the scan in ``folder``, from copies.json.
 
     Raises:
-        ScanFileError: copies.json is there and cannot be read.
+        ScanFileError: copies.json exists but cannot be read.
     """
     path = folder / COPIES_NAME
     try:
@@ -55,11 +55,13 @@ def copies_of(folder: Path) -> tuple[Copied, ...]:
 
 
 def copy_scan(folder: Path, dest: Path, progress: Progress = lambda _done, _total: None) -> Copied:
-    """Copy the scan's folder into the folder ``dest``, verify it there, and mark it beside the scan. Own it meanwhile.
+    """Copy the scan's folder into the folder ``dest``, verify it there, and list it in the scan's copies.json.
+
+    The caller holds the scan's lock.
 
     Raises:
-        ScanFileError: a target that is there already or within the scan, no room, a file that changed or arrived
-            damaged, or a disk that fails; nothing of the copy is left (nor after Ctrl-C), the scan is as it was.
+        ScanFileError: the target exists or lies within the scan, there is no space, a file arrived damaged, or a disk
+            fails. No part of the copy is left (nor after Ctrl-C), and the scan is unchanged.
     """
     files = _files_of(folder)
     total = sum(path.stat().st_size for path in files)
@@ -115,7 +117,7 @@ def _target(folder: Path, dest: Path, total: int) -> Path:
 
 @contextmanager
 def _making(target: Path) -> Iterator[Path]:
-    """A folder under a temporary name beside ``target``; gone if the work in it fails."""
+    """A temporary folder next to ``target``; it is removed unless it was renamed inside the block."""
     making = target.with_name(f".copying-{target.name}-{os.getpid()}")
     try:
         making.mkdir()
@@ -129,7 +131,7 @@ def _making(target: Path) -> Iterator[Path]:
 
 
 def _copied(source: Path, target: Path, count: Callable[[int], None]) -> str:
-    """sha256 (hex) of what was read; the copy is on the disk when this returns."""
+    """Copy a file and fsync it; returns the sha256 (hex) of what was read."""
     digest = hashlib.sha256()
     with source.open("rb") as reading, target.open("xb") as writing:
         while chunk := reading.read(CHUNK_BYTES):
@@ -143,7 +145,7 @@ def _copied(source: Path, target: Path, count: Callable[[int], None]) -> str:
 
 
 def _digest(path: Path, count: Callable[[int], None]) -> str:
-    """sha256 (hex) of a file as the disk has it: what the kernel still holds of it is let go first."""
+    """sha256 (hex) of a file as read from the disk: its cached pages are dropped first."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
@@ -154,7 +156,7 @@ def _digest(path: Path, count: Callable[[int], None]) -> str:
 
 
 def _mark(folder: Path, made: Copied) -> None:
-    """Remember the copy beside the scan."""
+    """Add the copy to the scan's copies.json."""
     path = folder / COPIES_NAME
     text = msgspec.json.format(msgspec.json.encode((*copies_of(folder), made)), indent=1) + b"\n"
     try:

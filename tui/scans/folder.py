@@ -1,4 +1,4 @@
-"""The folder of scans as people see it: each with its outcome, size, points, age; one that is broken says so."""
+"""Lists the scans of a folder with outcome, size, points, age and notes; an unreadable one with the reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from acquire.contract.units import format_bytes
 from tui.scans.copies import Copied, copies_of
 from tui.scans.json_file import read_object
 
-State = Literal["running", "sealed", "interrupted", "unreadable"]
+ScanState = Literal["running", "sealed", "interrupted", "unreadable"]
 SECONDS_PER_DAY = 86_400
 
 
@@ -29,8 +29,8 @@ class ScanEntry:
     """One scan of the folder."""
 
     folder: Path
-    state: State
-    """``running``: somebody owns it now; ``interrupted``: nobody does and it can be resumed."""
+    state: ScanState
+    """``running``: its lock is held now; ``interrupted``: it is not held, and the scan can be resumed."""
     outcome: str = ""
     reason: str = ""
     committed: int = 0
@@ -38,27 +38,27 @@ class ScanEntry:
     size_bytes: int = 0
     """All files of the folder."""
     points: int | None = None
-    """None: no cloud was made."""
+    """None: there is no cloud."""
     saturated_share: float | None = None
-    """Saturated pixels among those over the contrast; None where no report says so."""
+    """Share of saturated pixels among those over the contrast; None without a report."""
     has_maps: bool = False
     started_utc: str = ""
-    """ISO 8601 with Z; empty where that is not known."""
+    """ISO 8601 with Z; empty if not known."""
     purpose: str = ""
     calibrated: bool = False
-    """The scan recorded a light plane."""
+    """The scan has a calibrated light plane."""
     calibration_days: float | None = None
-    """Age of the calibration when the scan was taken; None where its date is not known."""
+    """Age of the calibration when the scan was taken; None if its date is not known."""
     size_px: tuple[int, int] = (0, 0)
     """Width and height."""
     notes: Notes = field(default_factory=Notes)
     copies: tuple[Copied, ...] = ()
     problem: str = ""
-    """Why it cannot be read, in words."""
+    """Why it cannot be read."""
 
     @property
     def outcome_words(self) -> str:
-        """How it ended: ``SAVED``, ``stopped 412/527``, ``running``, ``unreadable``."""
+        """``SAVED``, ``stopped 412/527``, ``running``, ``unreadable``."""
         if self.state in ("running", "unreadable"):
             return self.state
         if self.outcome == Outcome.COMPLETE and self.committed == self.expected:
@@ -67,7 +67,7 @@ class ScanEntry:
 
     @property
     def calibration_words(self) -> str:
-        """``none``, ``yes`` where it has no date, or its age when the scan was taken."""
+        """``none``, ``yes`` without a date, or its age when the scan was taken."""
         if not self.calibrated:
             return "none"
         return "yes" if self.calibration_days is None else _days_words(self.calibration_days)
@@ -78,7 +78,7 @@ class ScanEntry:
         return "?" if started is None else age_words((now - started).total_seconds())
 
     def lines(self) -> list[str]:
-        """Everything about it, for people."""
+        """All facts as lines of text."""
         if self.state == "unreadable":
             return [f"{self.folder.name}: {self.problem}"]
         words = outcome_words(self.outcome, self.committed, self.expected)
@@ -116,14 +116,14 @@ def _days_words(days: float) -> str:
 
 
 class ScanFolder:
-    """The folder of all scans; what has not changed since the last look is not read again."""
+    """The folder of all scans; scans that did not change since the last look are not read again."""
 
     def __init__(self, data_dir: Path) -> None:
         self.data_dir = data_dir
         self._known: dict[Path, tuple[object, ScanEntry]] = {}
 
     def look(self) -> list[ScanEntry]:
-        """All scans, the newest first; a folder that cannot be read is an entry that says so."""
+        """All scans, the newest first."""
         entries = []
         for folder in _scan_folders(self.data_dir):
             signature = _signature(folder)
@@ -140,14 +140,14 @@ def _scan_folders(data_dir: Path) -> list[Path]:
     try:
         found = [path for path in data_dir.iterdir() if path.is_dir() and not path.name.startswith(".")]
     except FileNotFoundError:
-        return []  # no scan was ever taken
+        return []  # no scan was taken yet
     except OSError as error:
         raise ScanFileError(f"cannot read the folder of scans {data_dir}: {error.strerror}") from None
     return [folder for folder in found if any((folder / name).exists() for name in (SEALED_NAME, PARTIAL_NAME))]
 
 
 def _signature(folder: Path) -> object:
-    """Changes with every file of the folder; a running scan is always read anew."""
+    """A value that changes with every file of the folder, and at every call for a running scan."""
     try:
         files = sorted((path.name, path.stat().st_mtime_ns, path.stat().st_size) for path in folder.iterdir())
     except OSError:
@@ -156,7 +156,7 @@ def _signature(folder: Path) -> object:
 
 
 def _is_owned(folder: Path) -> bool:
-    """True while a sweep runs into this folder; a sealed scan is never asked about, since asking takes its lock."""
+    """True while a sweep writes into this folder. A sealed scan is not tested: the test takes its lock for a moment."""
     if (folder / SEALED_NAME).exists():
         return False
     try:
@@ -166,7 +166,7 @@ def _is_owned(folder: Path) -> bool:
 
 
 def read_entry(folder: Path) -> ScanEntry:
-    """What is in one scan's folder; never raises for what a file holds."""
+    """Facts of one scan; the contents of a file never raise."""
     size_bytes = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
     try:
         with ScanReader(folder) as reader:
@@ -178,7 +178,7 @@ def read_entry(folder: Path) -> ScanEntry:
         return ScanEntry(folder, "unreadable", size_bytes=size_bytes, problem=" ".join(str(error).split()))
     state = _state(folder, layout.path, outcome)
     if state == "interrupted" and outcome == Outcome.RUNNING:
-        outcome = Outcome.INTERRUPTED  # its owner died without a word, and recover has not looked yet
+        outcome = Outcome.INTERRUPTED  # its writer died, and recover has not run yet
     counts = _counts(folder)
     calibrated, days = _calibration(layout.verbatim["calibration"], layout.start_time)
     return ScanEntry(
@@ -202,7 +202,7 @@ def read_entry(folder: Path) -> ScanEntry:
     )
 
 
-def _state(folder: Path, path: Path, outcome: str) -> State:
+def _state(folder: Path, path: Path, outcome: str) -> ScanState:
     if _is_owned(folder):
         return "running"
     return "sealed" if path.name != PARTIAL_NAME and outcome in SEALED_OUTCOMES else "interrupted"
@@ -226,7 +226,7 @@ def _share(counts: dict[str, Any], part: str, whole: str) -> float | None:
 
 
 def _calibration(text: bytes, started_utc: str) -> tuple[bool, float | None]:
-    """Whether a light plane was recorded, and how many days before the scan it was made."""
+    """Whether there is a light plane, and its age in days when the scan was taken."""
     try:
         found = json.loads(text or b"{}")
     except (ValueError, RecursionError):
@@ -253,22 +253,22 @@ def scan_folder(scan: Path) -> Path:
     """The folder of SCAN (a folder, or the scan.h5 in it).
 
     Raises:
-        ScanFileError: no scan, or a lone .h5 whose folder is not a scan's.
+        ScanFileError: no scan, or an .h5 file whose folder is not a scan's.
     """
     folder = scan.parent if scan.is_file() else scan
     if not any((folder / name).is_file() for name in (SEALED_NAME, PARTIAL_NAME)):
         raise ScanFileError(f"{scan} is not the folder of a scan: it holds neither {SEALED_NAME} nor {PARTIAL_NAME}")
     if scan.is_file() and scan.name not in (SEALED_NAME, PARTIAL_NAME):
-        raise ScanFileError(f"{scan.name} lies beside a scan and is none of its own: name the scan's folder")
+        raise ScanFileError(f"{scan.name} is not the file of the scan in its folder: name the folder")
     return folder.resolve()
 
 
 @contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Own a scan meanwhile, so that no sweep, recovery or resume touches it.
+    """Hold the lock of a scan while inside, so that no sweep, recovery or resume touches it.
 
     Raises:
-        AlreadyRunningError: somebody owns it; nothing was touched.
+        AlreadyRunningError: another process holds it; nothing was changed.
         ConfigError: the folder cannot be written to.
     """
     lock = FileLock(folder / OWNER_LOCK_NAME, f"a sweep, or other work on {folder.name},")

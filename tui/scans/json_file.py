@@ -1,4 +1,4 @@
-"""Reads a JSON object from a file that others write; a file that is missing, too large or broken is an empty object."""
+"""Reads a JSON object from a file of another process; a missing, too large or broken file is an empty object."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MAX_BYTES = 16 * 1024 * 1024
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """What the file says; never raises for what it holds."""
+    """The object in the file; its contents never raise."""
     try:
         if path.stat().st_size > MAX_BYTES:
             return {}

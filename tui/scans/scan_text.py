@@ -1,4 +1,4 @@
-"""What can be done with a scan, and what work on it came to, in words for people; pure."""
+"""Texts of the scans screen: the results of jobs, and why an action is not possible now."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from tui.scans.folder import ScanEntry
 
 
 def verify_words(result: dict[str, Any]) -> str:
-    """What 'sweepscope verify --json' came to."""
+    """Text for the result of 'sweepscope verify --json'."""
     if result.get("ok"):
         return f"{result.get('committed')} of {result.get('expected')} frames are there, all checksums fit"
-    return "; ".join(str(problem) for problem in result.get("problems", ())) or "not sound"
+    return "; ".join(str(problem) for problem in result.get("problems", ())) or "not valid"
 
 
 def reconstruct_words(result: dict[str, Any]) -> str:
-    """What 'sweepscope reconstruct --json' came to."""
+    """Text for the result of 'sweepscope reconstruct --json'."""
     points = result.get("points")
     made = "maps, no cloud" if points is None else f"{points} points"
     notes = "; ".join(str(warning) for warning in result.get("warnings", ()))
@@ -24,22 +24,22 @@ def reconstruct_words(result: dict[str, Any]) -> str:
 
 
 def recover_words(result: dict[str, Any]) -> str:
-    """What 'sweepscope recover --json' came to."""
+    """Text for the result of 'sweepscope recover --json'."""
     found = result.get("scans") or []
     if not found:
-        return "there was nothing to look after"
+        return "there was nothing to recover"
     scan = found[0]
     words = f"{scan.get('state')}, {scan.get('committed')} of {scan.get('expected')} frames are safe"
     return words + (f" ({scan['detail']})" if scan.get("detail") else "")
 
 
 def copy_words(result: dict[str, Any]) -> str:
-    """What 'sweepscope copy --json' came to."""
+    """Text for the result of 'sweepscope copy --json'."""
     return f"in {result.get('to')}, {result.get('files')} files verified by checksum"
 
 
 def why_not_now(action: str, entry: ScanEntry, job: Job | None) -> str:
-    """Why the scans screen's ``action`` cannot be done with a scan on which ``job`` works; empty if it can."""
+    """Why the scans screen cannot do ``action`` with a scan on which ``job`` works; empty if it can."""
     if action == "cancel":
         return "" if job else "nothing works on this scan"
     if entry.state == "running":
@@ -53,7 +53,7 @@ def _why_not_in_state(action: str, entry: ScanEntry) -> str:
     if action == "open":
         return "" if entry.has_maps else "it has no maps yet: m makes them"
     if action in ("resume", "seal") and entry.state != "interrupted":
-        return "only an interrupted scan can go on, or be closed"
+        return "only an interrupted scan can be resumed or sealed"
     if action == "recover" and entry.state == "sealed":
         return "it is sealed: there is nothing to recover"
     if entry.state == "unreadable" and action not in ("recover", "trash"):

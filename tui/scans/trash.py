@@ -1,4 +1,7 @@
-"""Moves scans to the trash folder beside them: one rename, nothing is erased, and it can be undone by another."""
+"""Moves a scan to the trash folder next to the scans, by one rename; another rename undoes it.
+
+The trash of the desktop (send2trash) would not do: the services' user has none, and scans must stay on their own disk.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ def trash_scan(folder: Path, data_dir: Path) -> Path:
 
     Raises:
         ScanFileError: it is not a scan of that folder, or cannot be moved.
-        AlreadyRunningError: somebody owns it.
+        AlreadyRunningError: another process holds its lock.
     """
     if folder.parent != data_dir.resolve():
         raise ScanFileError(f"{folder} is not in the folder of scans {data_dir}: remove it by hand")

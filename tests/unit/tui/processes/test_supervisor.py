@@ -149,4 +149,4 @@ def test_a_gateway_is_started_only_where_the_rig_is_offered_to_other_machines():
     from tui.processes.all_services import service_specs
 
     assert "gateway" not in [spec.name for spec in service_specs(None)]
-    assert [spec.name for spec in service_specs(None, offered=True)][-1] == "gateway"
+    assert [spec.name for spec in service_specs(None, remote=True)][-1] == "gateway"
