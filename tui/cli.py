@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
-from tui.commands import appliance, calibrate, devices, files, remote, rig, scans, services, stage, tools
+from tui.commands import calibrate, devices, files, installation, remote, scans, services, stage, sweep
 from tui.commands.context import Session
 
 EXIT_INTERRUPTED = 130
@@ -30,14 +30,13 @@ def cli(context: click.Context, config_path: str | None, debug: bool) -> None:
 
 for _command in (
     *services.COMMANDS,
-    *rig.COMMANDS,
+    *sweep.COMMANDS,
     *devices.COMMANDS,
     *files.COMMANDS,
     *scans.COMMANDS,
     *calibrate.COMMANDS,
     *stage.COMMANDS,
-    *tools.COMMANDS,
-    *appliance.COMMANDS,
+    *installation.COMMANDS,
     *remote.COMMANDS,
 ):
     cli.add_command(_command)

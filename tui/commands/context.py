@@ -1,4 +1,4 @@
-"""What every subcommand shares: the session of one invocation, and printing of results as words or as JSON."""
+"""Shared by the subcommands: the session of one invocation, common options, and output as text or as JSON."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -23,16 +23,19 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+PATH = click.Path(path_type=Path)
+
+
 @dataclass(frozen=True)
-class FarRig:
-    """A rig on another machine, as ``--connect`` and its companions name it; empty: the one on this machine."""
+class RemoteRig:
+    """A rig on another machine, from ``--connect``, ``--server-key`` and ``--key``."""
 
     address: str = ""
-    """tcp://host:port."""
+    """tcp://host:port; empty: the rig on this machine."""
     server_key: str = ""
     """Its public key in Z85."""
     key: Path | None = None
-    """File of our own pair; None: the usual one."""
+    """File of our own key pair; None: the default one."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +43,10 @@ class Session:
     """One invocation of the command line."""
 
     config_path: str | None
-    """``--config``; None: look in the usual places."""
+    """``--config``; None: look in the default places."""
     debug: bool = False
     """``--debug``."""
-    far: FarRig = FarRig()
+    remote: RemoteRig = RemoteRig()
 
     def config(self) -> LoadedConfig:
         """The effective configuration (raises ConfigError)."""
@@ -53,26 +56,26 @@ class Session:
 
     @contextmanager
     def client(self) -> Iterator[RigClient]:
-        """A client of the running daemon, here or far away (raises NoServiceError)."""
+        """A client of the running daemon, on this machine or a remote one (raises NoServiceError)."""
         from acquire.contract.process.run_dir import client_run_dir
         from tui.client.client_name import my_name_at_a_terminal
         from tui.client.rig_client import RigClient
 
         timeout_s = self.config().rig.limits.command_s
-        with self.tunnel() as far_dir:
-            where = far_dir or client_run_dir()
+        with self.tunnel() as remote_dir:
+            where = remote_dir or client_run_dir()
             with RigClient(where, timeout_s=timeout_s, client=my_name_at_a_terminal()) as client:
                 yield client
 
     @contextmanager
     def tunnel(self) -> Iterator[Path | None]:
-        """While inside, the folder with the lanes of a far rig; None if none was named.
+        """Connect to the remote rig while inside; yields the folder of its sockets, None if no rig was named.
 
         Raises:
-            NoServiceError: it does not answer or does not let us in; why is said.
-            ConfigError: no address, no key, or no pair of our own.
+            NoServiceError: it does not answer or refuses our key; the message says why.
+            ConfigError: no address, no key, or no key pair of our own.
         """
-        if not self.far.address:
+        if not self.remote.address:
             yield None
             return
         from acquire.contract.errors import ConfigError
@@ -80,41 +83,106 @@ class Session:
         from acquire.remote.keys import OWN_KEY_NAME, check_public, load_pair, own_folder
         from acquire.remote.tunnel import Tunnel
 
-        address = parse_address(self.far.address)
-        if not self.far.server_key:
+        address = parse_address(self.remote.address)
+        if not self.remote.server_key:
             raise ConfigError("--connect needs --server-key: 'sweepscope keys list' at the rig shows it")
-        pair = load_pair(self.far.key or own_folder() / OWN_KEY_NAME, "your key", "'sweepscope keys make' makes it")
-        with Tunnel(address, check_public(self.far.server_key), pair) as tunnel:
+        pair = load_pair(self.remote.key or own_folder() / OWN_KEY_NAME, "your key", "'sweepscope keys make' makes it")
+        with Tunnel(address, check_public(self.remote.server_key), pair) as tunnel:
             tunnel.wait(self.config().rig.limits.command_s)
             yield tunnel.run_dir
 
     def service_run_dir(self) -> Path:
-        """The directory of the services' sockets, made if it is not there."""
+        """The directory of the services' sockets; it is created if missing."""
         from acquire.contract.process.run_dir import prepare_run_dir, service_run_dir
 
         return prepare_run_dir(service_run_dir())
 
-    def log_as(self, service: str) -> None:
-        """Send log records to the journal, or to stderr, one line each, with the service's name."""
+    def begin_service(self, name: str) -> None:
+        """Log as the service ``name``, to the journal or to stderr, and end when the supervisor dies."""
         from acquire.contract.process.logs import set_up
+        from tui.processes.parent_watch import follow_parent
 
-        set_up(service, debug=self.debug)
-
-
-def json_option(function: F) -> F:
-    """Add ``--json`` to a command."""
-    return click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")(function)
+        follow_parent()
+        set_up(name, debug=self.debug)
 
 
-def progress_option(function: F) -> F:
-    """Add ``--progress`` to a command that takes long."""
-    return click.option("--progress", "with_progress", is_flag=True, help="Say on stderr how far it is, as JSON.")(
-        function
-    )
+def _keep(name: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
+    def keep(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+        if value is not None:
+            remote = dataclasses.replace(context.obj.remote, **{name: value})
+            context.obj = dataclasses.replace(context.obj, remote=remote)
+        return value
+
+    return keep
+
+
+_REMOTE_OPTIONS = (
+    click.option(
+        "--connect",
+        metavar="tcp://HOST:PORT",
+        expose_value=False,
+        callback=_keep("address"),
+        envvar="SWEEPSCOPE_CONNECT",
+        help="A rig on another machine; see 'sweepscope keys'.",
+    ),
+    click.option(
+        "--server-key",
+        metavar="KEY",
+        expose_value=False,
+        callback=_keep("server_key"),
+        envvar="SWEEPSCOPE_SERVER_KEY",
+        help="Public key of that rig.",
+    ),
+    click.option(
+        "--key",
+        type=PATH,
+        expose_value=False,
+        callback=_keep("key"),
+        envvar="SWEEPSCOPE_KEY",
+        help="File of your own key [the one of 'keys make'].",
+    ),
+)
+
+
+def options(*several: Callable[[F], F]) -> Callable[[F], F]:
+    """One decorator of several options, which stand in the help in this order."""
+
+    def decorate(function: F) -> F:
+        for option in reversed(several):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+remote_options = options(*_REMOTE_OPTIONS)
+rig_options = options(json_option, remote_options)
+"""Options of the commands that are sent to a daemon, on this machine or a remote one."""
+progress_option = click.option("--progress", "with_progress", is_flag=True, help="Report progress on stderr, as JSON.")
+force_option = click.option("--force", is_flag=True, help="Replace an existing file.")
+
+
+def size_callback(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    """Click callback of an option ``WxH``: two numbers; None without a value."""
+    from tui.text.sizes import parse_size
+
+    try:
+        return None if value is None else parse_size(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+def show_reply(name: str, result: dict[str, Any], as_json: bool) -> None:
+    """Print the daemon's reply to a command."""
+    if as_json:
+        print_json({"ok": True, **result})
+    else:
+        click.echo(f"{name}: " + (", ".join(f"{key} {value}" for key, value in result.items()) or "done"))
 
 
 def progress_printer(with_progress: bool, *, every_s: float = 0.2) -> Callable[[int, int], None]:
-    """Called with (done, total); prints one JSON object on a line of stderr now and then, or nothing."""
+    """A callback for (done, total) that prints JSON lines on stderr, at most one per ``every_s``; or nothing."""
     said_s = float("-inf")
 
     def say(done: int, total: int) -> None:

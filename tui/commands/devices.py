@@ -1,4 +1,4 @@
-"""Subcommands for stage, lamp and camera, the pre-scan, and who holds control."""
+"""Subcommands for stage, lamp and camera, pre-scan, simulated specimen, and control of the rig."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -8,18 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tui.commands.context import Session, json_option, print_json
-from tui.commands.remote import far_options
+from tui.commands.context import Session, json_option, print_json, rig_options, show_reply
 
 if TYPE_CHECKING:
     from tui.client.rig_client import RigClient
 
-_wait = click.option("--wait", is_flag=True, help="Return when it is done; exit status 1 if it was not.")
+_wait = click.option("--wait", is_flag=True, help="Return when it has ended; exit status 1 if it failed.")
 _SETTINGS = ("exposure_ms", "gain", "brightness_percent")
 
 
 def _move(session: Session, name: str, *, wait: bool, as_json: bool, args: dict[str, Any]) -> None:
-    """Ask for a move; with ``wait`` see it end where it must."""
+    """Request a move; with ``wait`` check that it ends at its target."""
     from acquire.contract.errors import SweepscopeError
     from tui.client.wait import until_rest
 
@@ -31,21 +30,13 @@ def _move(session: Session, name: str, *, wait: bool, as_json: bool, args: dict[
             if end["position_steps"] != target or end["state"] == "fault" or not end["position_trusted"]:
                 raise SweepscopeError(f"{name}: the stage stopped at {end['position_steps']}; {end['message']}")
             result |= {"position_steps": end["position_steps"]}
-    _show(name, result, as_json)
-
-
-def _show(name: str, result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        print_json({"ok": True, **result})
-    else:
-        click.echo(f"{name}: " + (", ".join(f"{key} {value}" for key, value in result.items()) or "done"))
+    show_reply(name, result, as_json)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("position_steps", type=int)
 @_wait
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage to POSITION_STEPS microsteps."""
@@ -55,8 +46,7 @@ def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> No
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("steps", type=int)
 @_wait
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage by STEPS microsteps (negative: back)."""
@@ -65,8 +55,7 @@ def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
 
 @click.command()
 @_wait
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def home(session: Session, wait: bool, as_json: bool) -> None:
     """Find the zero of the stage."""
@@ -74,8 +63,7 @@ def home(session: Session, wait: bool, as_json: bool) -> None:
 
 
 @click.command()
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def zero(session: Session, as_json: bool) -> None:
     """Make the present position the zero of the stage."""
@@ -84,14 +72,13 @@ def zero(session: Session, as_json: bool) -> None:
 
 @click.command()
 @click.argument("switch", type=click.Choice(["on", "off"]))
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def lamp(session: Session, switch: str, as_json: bool) -> None:
     """Switch the lamp on or off."""
     with session.client() as client:
         result = client.request("lamp", on=switch == "on").result
-    _show("lamp", result, as_json)
+    show_reply("lamp", result, as_json)
 
 
 @click.group()
@@ -100,8 +87,7 @@ def camera() -> None:
 
 
 @camera.command("show")
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def camera_show(session: Session, as_json: bool) -> None:
     """Print each setting with its limits."""
@@ -133,18 +119,17 @@ def _settings(_context: click.Context, _parameter: click.Parameter, values: tupl
 
 @camera.command("set")
 @click.argument("settings", metavar="NAME=NUMBER...", nargs=-1, required=True, callback=_settings)
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def camera_set(session: Session, settings: dict[str, float], as_json: bool) -> None:
     """Change settings, such as gain=12 exposure-ms=20; the others stay."""
     with session.client() as client:
         result = client.request("camera", **settings).result
-    _show("camera", result, as_json)
+    show_reply("camera", result, as_json)
 
 
 def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Begin an activity; with ``wait`` see it end well. Returns the reply and the last status."""
+    """Start an activity; with ``wait`` check that it succeeds. Returns the reply and the last status."""
     from acquire.contract.errors import SweepscopeError
     from tui.client.wait import until_rest
 
@@ -161,34 +146,35 @@ def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> t
 
 @camera.command("expose")
 @_wait
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
-    """Search the exposure once, with the light over the specimen; then it stays."""
+    """Find the exposure once, with the light on the specimen, and keep it."""
     with session.client() as client:
         result, end = _run(client, "expose", {}, wait=wait)
     if end:
         result = {"exposure_ms": end["camera"]["exposure_ms"], "message": end["message"]}
-    _show("expose", result, as_json)
+    show_reply("expose", result, as_json)
 
 
 @click.command()
-@click.option("--first-steps", type=int, help="Where the looks begin, in microsteps.")
-@click.option("--last-steps", type=int, help="Where they end, in microsteps.")
-@click.option("--every-steps", type=click.IntRange(min=1), help="Microsteps between two looks; 20 frames if not given.")
+@click.option("--first-steps", type=int, help="First position, in microsteps.")
+@click.option("--last-steps", type=int, help="Last position, in microsteps.")
+@click.option(
+    "--every-steps", type=click.IntRange(min=1), help="Microsteps between two positions; 20 frames if not given."
+)
 @_wait
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None:
-    """Look at every n-th position of a sweep and propose its bounds and exposure.
+    """Propose bounds and exposure from a coarse sweep.
 
-    'sweepscope scan --from-proposal' takes them over; 'sweepscope stop' ends it early."""
+    Pictures are taken at every n-th position. 'sweepscope scan --from-proposal' uses the proposal; 'sweepscope stop'
+    ends it early."""
     with session.client() as client:
         result, end = _run(client, "prescan", args, wait=wait)
     if not end:
-        _show("prescan", result, as_json)
+        show_reply("prescan", result, as_json)
         return
     proposal = end["proposal"]
     if as_json:
@@ -201,16 +187,15 @@ def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None
 
 @click.command()
 @click.argument("action", type=click.Choice(["take", "release"]))
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def control(session: Session, action: str, as_json: bool) -> None:
     """Take control of the rig for this terminal, or give it back.
 
-    It lapses ten seconds after the holder's last command; a console keeps it as long as it runs."""
+    It expires ten seconds after the holder's last command; a console keeps it while it runs."""
     with session.client() as client:
         result = client.request("control", action=action).result
-    _show("control", result, as_json)
+    show_reply("control", result, as_json)
 
 
 @camera.command("capture")
@@ -222,7 +207,7 @@ def camera_capture(session: Session, path: str | None, wait: bool, as_json: bool
     """Take one picture in full size as PATH, a .png within the folder of scans [captures/<time>.png there]."""
     with session.client() as client:
         result, _ = _run(client, "capture", {"path": path}, wait=wait)
-    _show("capture", result, as_json)
+    show_reply("capture", result, as_json)
 
 
 @click.command()
@@ -234,10 +219,12 @@ def camera_capture(session: Session, path: str | None, wait: bool, as_json: bool
 @json_option
 @click.pass_obj
 def specimen(session: Session, /, object_: str | None, wait: bool, as_json: bool, **args: Any) -> None:
-    """Lay something else under the simulated camera, or tilt it; what is left out stays."""
+    """Change or tilt the specimen of the simulated rig.
+
+    Options that are left out keep their value."""
     with session.client() as client:
         result, _ = _run(client, "specimen", {"object": object_, **args}, wait=wait)
-    _show("specimen", result, as_json)
+    show_reply("specimen", result, as_json)
 
 
 COMMANDS: tuple[click.Command, ...] = (goto, jog, home, zero, lamp, camera, prescan, specimen, control)

@@ -1,4 +1,4 @@
-"""Subcommands on files: import, reconstruct, verify, info; no service is needed."""
+"""Subcommands on scan files: import, reconstruct, page, verify, info, recover. They need no service."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
-from tui.commands.context import Session, json_option, print_json, progress_option, progress_printer
+from tui.commands.context import PATH, Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
     from process.results.reconstruct import Summary
 
-_SCAN = click.argument("scan", type=click.Path(path_type=Path))
+_SCAN = click.argument("scan", type=PATH)
 
 
 @click.command("import")
-@click.argument("frames_dir", type=click.Path(path_type=Path))
-@click.argument("target", metavar="SCAN.h5", type=click.Path(path_type=Path))
+@click.argument("frames_dir", type=PATH)
+@click.argument("target", metavar="SCAN.h5", type=PATH)
 @click.option("--force", is_flag=True, help="Replace an existing SCAN.h5.")
 @click.option("--um-per-frame", type=click.FloatRange(-1e6, 1e6), help="Travel of the stage per frame, where known.")
 @json_option
 def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | None, as_json: bool) -> None:
-    """Make a scan file of a folder of pictures.
+    """Make a scan file from a folder of pictures.
 
     png, bmp, jpg and tif are taken in natural order of their names. A projector.txt of the original program beside
     them tells the travel per frame."""
@@ -37,13 +37,13 @@ def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | N
 
 @click.command()
 @_SCAN
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.json; without one: maps, no cloud.")
+@click.option("--calibration", type=PATH, help="calibration.json; without one: maps, no cloud.")
 @click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, in counts of 8 bit [70].")
 @click.option("--edge", type=click.Choice(["rising", "falling"]), help="Which way pixels change [the calibration's].")
 @click.option("--median", type=click.IntRange(0, 31), help="Side of the median on the mask, odd; 0 for none [5].")
 @click.option("--method", type=click.Choice(["linear", "probit", "fit", "auto"]), help="Crossing estimate [auto].")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for maps.h5, cloud.ply, report.json.")
-@click.option("--force", is_flag=True, help="Go on where flags and calibration contradict.")
+@click.option("--out", type=PATH, help="Folder for maps.h5, cloud.ply, report.json.")
+@click.option("--force", is_flag=True, help="Continue where options and calibration contradict.")
 @progress_option
 @json_option
 def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: object) -> int:
@@ -61,10 +61,12 @@ def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: objec
 
 @click.command()
 @_SCAN
-@click.option("--results", type=click.Path(path_type=Path), help="Folder of maps.h5 and report.json [beside the .h5].")
-@click.option("--out", type=click.Path(path_type=Path), help="File to write [report.html beside the results].")
+@click.option("--results", type=PATH, help="Folder of maps.h5 and report.json [beside the .h5].")
+@click.option("--out", type=PATH, help="File to write [report.html beside the results].")
 def page(scan: Path, results: Path | None, out: Path | None) -> None:
-    """Show a scan and what was made of it on one page, which opens in any browser without a network."""
+    """Show a scan and its results on one HTML page.
+
+    It opens in any browser, without a network."""
     from process.results.page.html import verdict, write_page
     from process.results.page.load import read_results
 
@@ -119,7 +121,7 @@ def verify(scan: Path, as_json: bool, with_progress: bool) -> int:
 @_SCAN
 @json_option
 def info(scan: Path, as_json: bool) -> None:
-    """Say what a scan holds."""
+    """Show what a scan contains."""
     from acquire.writer.verify import info as run
 
     facts = run(scan)
@@ -127,17 +129,17 @@ def info(scan: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("where", metavar="[DIR]", type=click.Path(path_type=Path), required=False)
-@click.option("--seal", is_flag=True, help="Close interrupted scans for good: they can no longer be resumed.")
-@click.option("--compact", is_flag=True, help="Give back the space that closed scans reserved and do not need.")
-@click.option("--begun", is_flag=True, help="Only scans whose owner died since the last look: quick, for each start.")
+@click.argument("where", metavar="[DIR]", type=PATH, required=False)
+@click.option("--seal", is_flag=True, help="Seal interrupted scans: they can no longer be resumed.")
+@click.option("--compact", is_flag=True, help="Free the space that sealed scans reserved and do not need.")
+@click.option("--begun", is_flag=True, help="Only scans whose writer died since the last check: quick, for each start.")
 @json_option
 @click.pass_obj
 def recover(session: Session, where: Path | None, seal: bool, compact: bool, begun: bool, as_json: bool) -> int:
-    """Look after scans that nobody owns any more.
+    """Verify interrupted scans.
 
-    DIR is a folder of scans [storage.data_dir] or one scan. Every committed frame is verified; a scan that was
-    interrupted is marked so and can be resumed. A sweep that runs is never touched."""
+    DIR is a folder of scans [storage.data_dir] or one scan. Every committed frame is verified, and the scan is marked
+    as interrupted, so that it can be resumed. A running sweep is never touched."""
     from acquire.writer.recover import RecoverOptions
     from acquire.writer.recover import recover as run
 
@@ -152,7 +154,7 @@ def recover(session: Session, where: Path | None, seal: bool, compact: bool, beg
     if as_json:
         print_json({"scans": facts})
     elif not facts:
-        click.echo("there is nothing to look after")
+        click.echo("there is nothing to recover")
     return EXIT_FAILED if unreadable else 0
 
 

@@ -1,4 +1,4 @@
-"""Subcommands on the folder of scans: scans, notes, copy, trash; a scan that somebody owns is never touched."""
+"""Subcommands on the folder of scans: scans, notes, copy, trash. A scan that is being written is never touched."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tui.commands.context import Session, json_option, print_json, progress_option, progress_printer
+from tui.commands.context import PATH, Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
     from tui.scans.folder import ScanEntry
 
-_path = click.Path(path_type=Path)
-_SCAN = click.argument("scan", type=_path)
+_SCAN = click.argument("scan", type=PATH)
 
 
 @click.command()
-@click.argument("where", metavar="[DIR]", type=_path, required=False)
+@click.argument("where", metavar="[DIR]", type=PATH, required=False)
 @json_option
 @click.pass_obj
 def scans(session: Session, where: Path | None, as_json: bool) -> None:
@@ -63,16 +62,16 @@ def _table(found: list[ScanEntry]) -> list[str]:
 
 @click.command()
 @_SCAN
-@click.option("--name", help="What the scan is called; its folder keeps its name.")
-@click.option("--specimen", help="What lay on the stage.")
-@click.option("--operator", help="Who took the scan.")
+@click.option("--name", help="Name of the scan; its folder keeps its name.")
+@click.option("--specimen", help="Name of the specimen.")
+@click.option("--operator", help="Name of the operator.")
 @click.option("--notes", help="Free text.")
 @click.option("--tag", "tags", multiple=True, help="May be given more than once; replaces all tags.")
 @json_option
 def notes(scan: Path, as_json: bool, **wanted: Any) -> None:
-    """Show or edit what people say about a scan.
+    """Show or edit the notes of a scan.
 
-    The scan itself is never changed: notes go into notes.json beside it."""
+    The scan itself is never changed: notes go into notes.json next to it."""
     import msgspec
 
     from acquire.contract.scan_data.file_layout import read_layout
@@ -95,7 +94,7 @@ def notes(scan: Path, as_json: bool, **wanted: Any) -> None:
 
 @click.command()
 @_SCAN
-@click.argument("dest", type=_path)
+@click.argument("dest", type=PATH)
 @progress_option
 @json_option
 def copy(scan: Path, dest: Path, with_progress: bool, as_json: bool) -> None:
@@ -118,9 +117,9 @@ def copy(scan: Path, dest: Path, with_progress: bool, as_json: bool) -> None:
 @json_option
 @click.pass_obj
 def trash(session: Session, scan: Path, yes: bool, as_json: bool) -> None:
-    """Move a scan to the folder .trash beside the scans.
+    """Move a scan to the folder .trash next to the scans.
 
-    Nothing is erased: empty that folder by hand when the room is needed."""
+    Nothing is deleted: empty that folder by hand to free the space."""
     from tui.scans.folder import scan_folder
     from tui.scans.trash import trash_scan
 

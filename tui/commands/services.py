@@ -1,29 +1,22 @@
-"""Subcommands that start processes: the four services, the console, all at once (`up`), and the demonstration."""
+"""Subcommands that start processes: the four services, all of them at once (`up`), the console, the demonstration."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from tui.commands.context import Session
-from tui.commands.remote import far_options
-
-
-def _lifeline() -> None:
-    from tui.processes.parent_watch import follow_parent
-
-    follow_parent()
+from tui.commands.context import PATH, Session, remote_options, size_callback
 
 
 @click.command()
 @click.pass_obj
 def daemon(session: Session) -> None:
-    """Own motor, camera and lamp, and run sweeps."""
-    _lifeline()
-    session.log_as("daemon")
+    """Control stage, camera and lamp, and run sweeps."""
+    session.begin_service("daemon")
     from acquire.daemon.service import run_daemon
 
     run_daemon(session.config(), session.service_run_dir())
@@ -33,8 +26,7 @@ def daemon(session: Session) -> None:
 @click.pass_obj
 def writer(session: Session) -> None:
     """Write frames into the scan file."""
-    _lifeline()
-    session.log_as("writer")
+    session.begin_service("writer")
     from acquire.writer.service import run_writer
 
     run_writer(session.config(), session.service_run_dir())
@@ -44,8 +36,7 @@ def writer(session: Session) -> None:
 @click.pass_obj
 def worker(session: Session) -> None:
     """Turn frames into maps and a point cloud while they arrive."""
-    _lifeline()
-    session.log_as("worker")
+    session.begin_service("worker")
     from process.worker.service import run_worker
 
     run_worker(session.config(), session.service_run_dir())
@@ -56,17 +47,16 @@ def worker(session: Session) -> None:
 @click.pass_obj
 def viewer(session: Session, port: int | None) -> None:
     """Show the cloud and the rig in a browser."""
-    _lifeline()
-    session.log_as("viewer")
+    session.begin_service("viewer")
     from process.viewer.service import run_viewer
 
     run_viewer(session.config(), session.service_run_dir(), port=port)
 
 
 @click.group(invoke_without_command=True)
-@click.option("--ascii", "ascii_only", is_flag=True, help="Draw with plain ASCII signs only.")
-@click.option("--read-only", is_flag=True, help="Look only: no action that moves or changes the rig; STOP stays.")
-@far_options
+@click.option("--ascii", "ascii_only", is_flag=True, help="Draw with ASCII characters only.")
+@click.option("--read-only", is_flag=True, help="Watch only: no action that moves or changes the rig, except STOP.")
+@remote_options
 @click.option("--picture", type=click.Choice(["half", "mono", "off"]), help="How the camera picture is drawn.")
 @click.option(
     "--color",
@@ -88,15 +78,15 @@ def console(
     theme: str,
     mouse: bool,
 ) -> int:
-    """Show and steer the rig in this terminal.
+    """Show and control the rig in this terminal.
 
-    Closing it never touches a sweep: come back at any time."""
+    Closing it never affects a sweep: reopen it at any time."""
     if context.invoked_subcommand is not None:
         return 0
     from tui.console.terminal.terminal import choose_colours, picture_mode, require_terminal
 
     require_terminal("the console")
-    config = context.obj.config()  # an unusable rig.toml is told before the screen is taken
+    config = context.obj.config()  # an invalid rig.toml is reported before the screen is drawn
     settled = choose_colours(colours)
     from tui.console.app import run_console
     from tui.console.start_options import options_for
@@ -109,13 +99,13 @@ def console(
         picture=picture or picture_mode(settled, ascii_only=ascii_only),
         theme=f"sweepscope-{theme}",
     )
-    with context.obj.tunnel() as far_dir:
-        return run_console(options, run_dir=far_dir)
+    with context.obj.tunnel() as remote_dir:
+        return run_console(options, run_dir=remote_dir)
 
 
-@console.command()
-def doctor() -> int:
-    """Look at this terminal and its link, and say what to mend."""
+@console.command("doctor")
+def console_doctor() -> int:
+    """Check this terminal and its connection, and suggest fixes."""
     from tui.console.terminal.terminal import require_terminal
 
     require_terminal("the console's doctor")
@@ -129,31 +119,22 @@ def doctor() -> int:
 def up(session: Session) -> int:
     """Run the four services until Ctrl-C.
 
-    Daemon, writer, worker and viewer; one that dies is started again."""
+    Daemon, writer, worker and viewer; one that dies is restarted."""
     from tui.processes.all_services import run_up
 
     return run_up(session.config(), session.config_path, session.service_run_dir())
 
 
 @click.command()
-@click.option("--size", metavar="WxH", hidden=True, help="Pixels of the simulated camera.")
+@click.option("--size", metavar="WxH", callback=size_callback, hidden=True, help="Pixels of the simulated camera.")
 @click.option("--frames", type=click.IntRange(2, 100_000), hidden=True, help="Frames over the whole travel.")
 @click.option("--time-scale", type=float, hidden=True, help="Factor on simulated durations.")
-@click.option("--object", "specimen", hidden=True, help="What lies on the stage.")
+@click.option("--object", "specimen", hidden=True, help="Simulated specimen.")
 @click.option("--seed", type=int, hidden=True)
 @click.option("--rate", "max_rate_hz", type=float, hidden=True, help="Frames per second at most.")
-@click.option("--data-dir", type=click.Path(path_type=Path), hidden=True)
+@click.option("--data-dir", type=PATH, default=Path("demo-data"), hidden=True)
 @click.option("--twin", is_flag=True, help="Run the real firmware in an emulator (needs the AVR tools).")
-def demo(
-    size: str | None,
-    frames: int | None,
-    time_scale: float | None,
-    specimen: str | None,
-    seed: int | None,
-    max_rate_hz: float | None,
-    data_dir: Path | None,
-    twin: bool,
-) -> int:
+def demo(**settings: Any) -> int:
     """Take a whole scan on a simulated rig.
 
     On a terminal the console opens and the sweep starts at once; without one progress is printed. Scans go to
@@ -162,8 +143,7 @@ def demo(
     from tui.demo.rig import DemoOptions
     from tui.demo.run import run_demo
 
-    options = DemoOptions.from_flags(size, frames, time_scale, specimen, seed, max_rate_hz, data_dir, twin=twin)
-    return run_demo(options)
+    return run_demo(DemoOptions(**settings))
 
 
 COMMANDS: tuple[click.Command, ...] = (demo, up, console, daemon, writer, worker, viewer)

@@ -1,4 +1,4 @@
-"""Subcommands for the stage's controller alone; the daemon must not run meanwhile: the port belongs to one program."""
+"""Subcommands for the stage's controller. The daemon must not run: only one program can open the serial port."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -11,14 +11,14 @@ from tui.commands.context import Session, json_option, print_json
 
 @click.group()
 def stage() -> None:
-    """Look after the stage's controller."""
+    """Check and tune the stage's controller."""
 
 
 @stage.command()
 @click.option("--port", help="Serial port; default: stage.port, or the only one there is.")
 @click.pass_obj
 def check(session: Session, port: str | None) -> int:
-    """Check each wire: moves the stage by 100 microsteps, asks, and says what it saw. Home the stage afterwards."""
+    """Check each wire: moves the stage by 100 microsteps, asks, and reports. Home the stage afterwards."""
     import msgspec
 
     from acquire.stages.uno.stage import UnoStage
@@ -32,11 +32,11 @@ def check(session: Session, port: str | None) -> int:
 
 
 @stage.command()
-@click.option("--position-steps", type=int, help="Where to look; default: the middle of the sweep.")
+@click.option("--position-steps", type=int, help="Where to measure; default: the middle of the sweep.")
 @json_option
 @click.pass_obj
 def settle(session: Session, position_steps: int | None, as_json: bool) -> None:
-    """Measure how long the picture needs to come to rest after a step, and propose stage.settle_ms."""
+    """Measure how long the picture needs to settle after a step, and propose stage.settle_ms."""
     import msgspec
 
     from acquire.rig_tools.settle_time import SettleMeasurement

@@ -1,4 +1,4 @@
-"""Judges a scan of the simulated rig against the truth and says what came out; only reads report.json."""
+"""Judges the scan of the demonstration by its report.json, which compares the cloud with the simulated truth."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ MOST_MEDIAN_UM = 3.0
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """A scan of the demonstration with what was found in it."""
+class DemoVerdict:
+    """The outcome of the demonstration's scan, and whether it succeeded."""
 
     status: Status
-    """The daemon's last word on the scan."""
+    """The daemon's last status of the scan."""
     report: dict[str, Any]
     """report.json."""
     results_s: float | None = None
-    """From the last frame to maps and cloud on disk; None where the worker was not heard."""
+    """Time from the last frame to maps and cloud on disk; None if the worker did not report it."""
 
     @property
     def folder(self) -> Path:
@@ -35,10 +35,13 @@ class Verdict:
         return Path(self.status.scan_path)
 
     @property
+    def _truth(self) -> dict[str, Any]:
+        return self.report.get("truth") or {}
+
+    @property
     def failures(self) -> list[str]:
-        """Why the demonstration did not succeed; empty when it did."""
-        truth = self.report.get("truth") or {}
-        share, median_um = truth.get("share"), truth.get("median_um")
+        """Why the demonstration failed; empty if it succeeded."""
+        share, median_um = self._truth.get("share"), self._truth.get("median_um")
         found = []
         if not outcome_line(self.status).startswith("SAVED"):
             found.append(f"the scan is not complete ({outcome_line(self.status)})")
@@ -47,7 +50,7 @@ class Verdict:
             return found
         if share < LEAST_SHARE:
             found.append(
-                f"only {100 * share:.1f} % of the visible pixels have a point, {100 * LEAST_SHARE:.0f} % are due"
+                f"only {100 * share:.1f} % of the visible pixels have a point, less than {100 * LEAST_SHARE:.0f} %"
             )
         if median_um >= MOST_MEDIAN_UM:
             found.append(f"the median error of {median_um:.2f} um is not below {MOST_MEDIAN_UM:g} um")
@@ -55,13 +58,13 @@ class Verdict:
 
     @property
     def exit_status(self) -> int:
-        """0 only if nothing failed; 4 if frames are missing."""
+        """0 if nothing failed; 4 if frames are missing."""
         if self.status.outcome != Outcome.COMPLETE:
             return EXIT_INCOMPLETE
         return EXIT_FAILED if self.failures else 0
 
     def findings(self) -> list[str]:
-        """What came out, in a few lines."""
+        """The result in a few lines."""
         points = self.report.get("counts", {}).get("points", 0)
         lines = [
             f"outcome  {outcome_line(self.status)}",
@@ -71,7 +74,7 @@ class Verdict:
         return lines + [f"FAILED   {failure}" for failure in self.failures]
 
     def lines(self, url: str) -> list[str]:
-        """The whole summary for a person."""
+        """The whole summary."""
         counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
         stages = "".join(f", {name.replace('_', ' ')} {seconds:.2f} s" for name, seconds in timings.items())
         on_disk = (
@@ -88,15 +91,15 @@ class Verdict:
         ]
 
     def _share(self) -> str:
-        truth = self.report.get("truth") or {}
+        truth = self._truth
         if truth.get("share") is None:
             return ""
         return f" ({100 * truth['share']:.1f} % of {truth['visible_over_contrast']} visible pixels over the contrast)"
 
     def _error(self) -> str:
-        truth = self.report.get("truth") or {}
+        truth = self._truth
         if truth.get("median_um") is None:
-            return "unknown: no truth beside the scan"
+            return "unknown: the scan has no truth"
         return (
             f"median {truth['median_um']:.2f} um, RMS {truth['rms_um']:.2f} um, "
             f"95 % below {truth['p95_um']:.2f} um (against the simulated truth)"
@@ -104,10 +107,10 @@ class Verdict:
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:
-    """report.json of a scan's folder; None while there is none.
+    """report.json of a scan's folder; None if there is none yet.
 
     Raises:
-        ScanFileError: it is there and cannot be read.
+        ScanFileError: it exists but cannot be read.
     """
     path = folder / REPORT_NAME
     try:
@@ -122,5 +125,5 @@ def read_report(folder: Path) -> dict[str, Any] | None:
 
 
 def is_final(report: dict[str, Any] | None, outcome: str) -> bool:
-    """True once the report knows how the scan ended and was compared with the truth."""
+    """True if the report has the outcome of the scan and the comparison with the truth."""
     return report is not None and report.get("outcome") == outcome and report.get("truth") is not None

@@ -1,4 +1,4 @@
-"""The demonstration's own world: simulated rig, embedded defaults, own sockets, a free port; closing it ends all."""
+"""The rig of the demonstration: simulated devices, own configuration, own sockets, a free port for the page."""
 
 from __future__ import annotations
 
@@ -9,64 +9,38 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import tomli_w
 
-from acquire.contract.config.load import LoadedConfig, load_config
+from acquire.contract.config.load import load_config
 from acquire.contract.config.model import SweepConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
 from tui.processes.all_services import VITAL, child_environment, service_specs
 from tui.processes.supervisor import POLL_S, Supervisor
-from tui.text.sizes import parse_size
 
-DATA_DIR = Path("demo-data")
 LOG_TAIL_LINES = 3
 
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What differs from the embedded defaults; None leaves a default."""
+    """Settings of the demonstration; None keeps the default."""
 
     size: tuple[int, int] | None = None
     """Width and height of the camera in pixels."""
     frames: int | None = None
     """Frames over the whole default travel."""
     time_scale: float | None = None
+    """Factor on simulated durations."""
     specimen: str | None = None
     seed: int | None = None
     max_rate_hz: float | None = None
-    data_dir: Path = DATA_DIR
+    data_dir: Path = Path("demo-data")
     twin: bool = False
     """Run the real firmware in an emulator instead of the simulated stage."""
 
-    @classmethod
-    def from_flags(
-        cls,
-        size: str | None,
-        frames: int | None,
-        time_scale: float | None,
-        specimen: str | None,
-        seed: int | None,
-        max_rate_hz: float | None,
-        data_dir: Path | None,
-        *,
-        twin: bool = False,
-    ) -> DemoOptions:
-        """Options from what was typed.
-
-        Raises:
-            ConfigError: the size cannot be read.
-        """
-        try:
-            pixels = parse_size(size) if size else None
-        except ValueError as error:
-            raise ConfigError(str(error)) from None
-        return cls(pixels, frames, time_scale, specimen, seed, max_rate_hz, data_dir or DATA_DIR, twin)
-
     def settings(self) -> dict[str, dict[str, Any]]:
-        """The keys of rig.toml that are set; every other one has its default."""
+        """rig.toml: only the keys that differ from their default."""
         width, height = self.size or (None, None)
         wanted: dict[str, dict[str, Any]] = {
             "storage": {"data_dir": str(self.data_dir.resolve())},
@@ -87,15 +61,15 @@ class DemoOptions:
 
 
 class DemoRig:
-    """The four services on a simulated rig, tended by a thread of their own. A context manager."""
+    """The four services, kept running by a thread. A context manager: leaving it ends them, the daemon first."""
 
     def __init__(
         self, options: DemoOptions, say: Callable[[str], None], environ: Mapping[str, str] = os.environ
     ) -> None:
-        """Make the directories and the configuration; nothing runs before ``with``.
+        """Create the directories and the configuration; nothing runs before ``with``.
 
         Raises:
-            ConfigError: a setting out of bounds, or a folder that cannot be made.
+            ConfigError: a setting out of bounds, or a folder that cannot be created.
         """
         self.data_dir = options.data_dir.resolve()
         self._log_dir = self.data_dir / "logs"
@@ -104,23 +78,20 @@ class DemoRig:
         except OSError as error:
             raise ConfigError(f"cannot create {self._log_dir}: {error.strerror}; use another folder") from None
         self.run_dir = Path(tempfile.mkdtemp(prefix="sweepscope-"))
+        path = self.run_dir / "rig.toml"
+        path.write_text(tomli_w.dumps(options.settings()), encoding="utf-8")
         try:
-            self.config = self._configure(options)
+            self.config = load_config(str(path), environ={})
         except SweepscopeError:
             shutil.rmtree(self.run_dir, ignore_errors=True)
             raise
+        # variables of the user's own rig must not reach the services
         clean = {name: value for name, value in environ.items() if not name.startswith("SWEEPSCOPE_")}
-        specs = service_specs(str(self.run_dir / "rig.toml"))
-        self.supervisor = Supervisor(specs, child_environment(self.run_dir, clean), say, log_dir=self._log_dir)
+        self.supervisor = Supervisor(
+            service_specs(str(path)), child_environment(self.run_dir, clean), say, log_dir=self._log_dir
+        )
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._tend, name="demo-services", daemon=True)
-
-    def _configure(self, options: DemoOptions) -> LoadedConfig:
-        path = self.run_dir / "rig.toml"
-        path.write_text(tomli_w.dumps(options.settings()), encoding="utf-8")
-        config = load_config(str(path), environ={})
-        path.write_text(config.toml(), encoding="utf-8")
-        return config
 
     def __enter__(self) -> Self:
         for log in self._log_dir.glob("*.log"):
@@ -128,13 +99,7 @@ class DemoRig:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End all services, the daemon first, and remove the sockets."""
+    def __exit__(self, *_: object) -> None:
         self._ending.set()
         self._thread.join()
         shutil.rmtree(self.run_dir, ignore_errors=True)
@@ -146,15 +111,12 @@ class DemoRig:
         self.supervisor.stop(self.config.rig.limits.stop_s + 1.0)
 
     def check(self, names: tuple[str, ...] = VITAL) -> None:
-        """Raise SweepscopeError if one of the services ``names`` was given up, with its last words."""
+        """Raise SweepscopeError, with the last lines of its log, if one of the services ``names`` was given up."""
         for name in self.supervisor.given_up:
             if name in names:
                 raise SweepscopeError(f"the {name} cannot be kept running: {self._last_words(name)}")
 
     def _last_words(self, name: str) -> str:
         log = self._log_dir / f"{name}.log"
-        try:
-            lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
-        except OSError:
-            lines = []
-        return f"{' | '.join(lines[-LOG_TAIL_LINES:]) or 'it said nothing'} (see {log})"
+        lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.is_file() else []
+        return f"{' | '.join(lines[-LOG_TAIL_LINES:]) or 'it logged nothing'} (see {log})"

@@ -1,4 +1,6 @@
-"""`sweepscope demo`: a whole scan on a simulated rig, with the console on a terminal and as plain lines without one."""
+"""`sweepscope demo`: a whole scan on a simulated rig; with the console on a terminal, with plain lines without one."""
+
+# ruff: noqa: PLC0415 - without a terminal Textual is not loaded
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from acquire.contract.states import State
 from tui.client.follow import Narrator, follow_scan
 from tui.client.rig_client import ProgressFeed, RigClient
 from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
-from tui.demo.report import Verdict, is_final, read_report
+from tui.demo.report import DemoVerdict, is_final, read_report
 from tui.demo.rig import DemoOptions, DemoRig
 from tui.processes.all_services import SERVICES, read_url, say, signals_set
 
@@ -23,73 +25,74 @@ if TYPE_CHECKING:
     from tui.console.app import ConsoleApp
 
 READY_S = 240.0
-"""Longest wait for the services; the first start on a machine compiles the fold, and it may be a slow one."""
+"""Longest wait for the services; the first start on a machine compiles the fold, and the machine may be slow."""
 HOMING_S = 60.0
 RESULTS_S = 120.0
-"""Longest wait for maps and cloud after the sweep's end."""
-LOOK_S = 0.1
+"""Longest wait for maps and cloud after the end of the sweep."""
+POLL_S = 0.1
 
 
 class CancelledError(SweepscopeError):
-    """The operator ended the demonstration; nothing is wrong."""
+    """The user ended the demonstration; this is no failure."""
 
 
 class Demonstration:
-    """One scan from readiness to its report, said step by step; may be run in any thread."""
+    """One scan, from starting the services to its report, announced step by step."""
 
-    def __init__(self, rig: DemoRig, say: Callable[[str], None], hear: Callable[[Status], None]) -> None:
-        """``hear`` is called with every status of the running scan."""
-        self._rig, self._say, self._hear = rig, say, hear
+    def __init__(
+        self, rig: DemoRig, say: Callable[[str], None], on_status: Callable[[Status], None] = lambda _: None
+    ) -> None:
+        """``on_status`` is called with every status of the running scan."""
+        self._rig, self._say, self._on_status = rig, say, on_status
         self.feed = ProgressFeed(rig.run_dir)
         self.cancelled = threading.Event()
         self.url = ""
+        self.verdict: DemoVerdict | None = None
 
-    def run(self) -> Verdict:
-        """Take the scan; may be called once.
+    def run(self) -> DemoVerdict:
+        """Take the scan; may be called once, from any thread.
 
         Raises:
             CancelledError: ``cancelled`` was set meanwhile.
-            SweepscopeError: a service cannot run, the scan was refused, or a deadline passed.
+            SweepscopeError: a service cannot run, the scan was refused, or a time limit passed.
         """
         try:
-            return self._run()
+            with self._ready_client() as client:
+                self._home(client)
+                name = self._rig.config.rig.simulation.object
+                scan = client.request("scan", name=f"demo-{name}", specimen=f"simulated {name}").result
+                self._say(f"sweep of {scan['expected']} frames into {scan['path']}")
+                end = follow_scan(client, scan["scan_uid"], self._take_status)
+            report = self._report(end)
+            results = self.feed.end_of(end.scan_uid)
         finally:
             self.feed.close()
+        self.verdict = DemoVerdict(end, report, results.seconds if results else None)
+        return self.verdict
 
-    def _run(self) -> Verdict:
-        with self._ready() as client:
-            self._home(client)
-            sweep = self._rig.config.rig.simulation
-            result = client.request("scan", name=f"demo-{sweep.object}", specimen=f"simulated {sweep.object}").result
-            self._say(f"sweep of {result['expected']} frames into {result['path']}")
-            end = follow_scan(client, result["scan_uid"], self._listen)
-        report = self._report(end)
-        heard = self.feed.end_of(end.scan_uid)
-        return Verdict(end, report, heard.seconds if heard else None)
-
-    def _listen(self, status: Status) -> None:
+    def _take_status(self, status: Status) -> None:
         self._check()
-        self.feed.newest()  # taken off the socket in time, also where nobody prints it
-        self._hear(status)
+        self.feed.newest()  # keeps the socket's queue short, also where nothing prints the progress
+        self._on_status(status)
 
     def _check(self) -> None:
         if self.cancelled.is_set():
             raise CancelledError("cancelled; what was taken is kept")
         self._rig.check()
 
-    def _ready(self) -> RigClient:
-        """Wait until every service is there; the client of the daemon."""
+    def _ready_client(self) -> RigClient:
+        """Wait until every service is ready; returns a client of the daemon."""
         run_dir = self._rig.run_dir
         self._say(f"starting {', '.join(SERVICES)}")
-        self._await(lambda: is_served(run_dir), READY_S, "the daemon did not come up")
-        # it listens at once, but speaks only when its kernels are compiled: then it misses no frame
-        self._await(lambda: self.feed.newest() is not None, READY_S, "the worker did not come up")
-        self._await(lambda: bool(read_url(run_dir)), READY_S, "the viewer did not come up")
+        self._wait(lambda: is_served(run_dir), READY_S, "the daemon did not come up")
+        # the worker listens early but publishes only when its kernels are compiled: from then on it misses no frame
+        self._wait(lambda: self.feed.newest() is not None, READY_S, "the worker did not come up")
+        self._wait(lambda: bool(read_url(run_dir)), READY_S, "the viewer did not come up")
         self.url = read_url(run_dir)
         self._say(f"the cloud is shown at {self.url}")
         client = RigClient(run_dir, timeout_s=self._rig.config.rig.limits.command_s)
         try:
-            self._await(lambda: _is_ready(client.newest_status(1.0)), READY_S, "the writer did not come up")
+            self._wait(lambda: _is_ready(client.newest_status(1.0)), READY_S, "the writer did not come up")
         except SweepscopeError:
             client.close()
             raise
@@ -105,22 +108,22 @@ class Demonstration:
 
     def _report(self, end: Status) -> dict[str, object]:
         self._say("waiting for maps, cloud and report")
-        folder = Verdict(end, {}).folder
-        self._await(lambda: read_report(folder) is not None, RESULTS_S, "the worker wrote no report")
+        folder = DemoVerdict(end, {}).folder
+        self._wait(lambda: read_report(folder) is not None, RESULTS_S, "the worker wrote no report")
         try:
-            self._await(lambda: is_final(read_report(folder), end.outcome), RESULTS_S, "the report is not final")
+            self._wait(lambda: is_final(read_report(folder), end.outcome), RESULTS_S, "the report is not final")
         except NoServiceError as error:
             self._say(str(error))
         return read_report(folder) or {}
 
-    def _await(self, happened: Callable[[], bool], deadline_s: float, otherwise: str) -> None:
-        end_s = time.monotonic() + deadline_s
-        while not happened():
-            if self.cancelled.wait(LOOK_S):
+    def _wait(self, ready: Callable[[], bool], limit_s: float, otherwise: str) -> None:
+        end_s = time.monotonic() + limit_s
+        while not ready():
+            if self.cancelled.wait(POLL_S):
                 self._check()
             self._rig.check(SERVICES)
             if time.monotonic() > end_s:
-                raise NoServiceError(f"{otherwise} within {deadline_s:g} s; see {self._rig.data_dir / 'logs'}")
+                raise NoServiceError(f"{otherwise} within {limit_s:g} s; see {self._rig.data_dir / 'logs'}")
 
 
 def _is_ready(status: Status | None) -> bool:
@@ -148,63 +151,60 @@ def _run_headless(options: DemoOptions) -> int:
     return verdict.exit_status
 
 
-def _show(verdict: Verdict, url: str) -> None:
+def _show(verdict: DemoVerdict, url: str) -> None:
     for line in verdict.lines(url):
         say(line)
 
 
+def _complain(text: str) -> None:
+    print(f"sweepscope demo: {text}", file=sys.stderr, flush=True)
+
+
+# ---- on a terminal ----
+
+
 def _run_on_terminal(options: DemoOptions) -> int:
     picture = picture_mode(choose_colours("auto"), ascii_only=False)
-    from tui.console.app import run_console  # noqa: PLC0415 - without a terminal Textual is never loaded
-    from tui.console.link.messages import Note  # noqa: PLC0415
-    from tui.console.start_options import options_for  # noqa: PLC0415
+    from tui.console.app import run_console
+    from tui.console.start_options import options_for
 
-    thread: _DemoThread | None = None
+    background: _DemoThread | None = None
 
     def begin(app: ConsoleApp) -> None:
-        nonlocal thread
+        nonlocal background
+        background = _DemoThread(rig, app)
 
-        def warn(text: str) -> None:
-            app.post_message(Note(text, "warning"))
-
-        rig.supervisor.say = warn
-        thread = _DemoThread(rig, app)
-        thread.start()
-
-    with DemoRig(options, _to_log) as rig:
+    # nothing is printed before the console starts: stderr is where it draws
+    with DemoRig(options, lambda _text: None) as rig:
         console = options_for(rig.config, owns_rig=True, picture=picture)
         status = run_console(console, run_dir=rig.run_dir, on_started=begin)
         say("ending daemon, writer, worker and viewer")
-        if thread is not None:
-            thread.end()
-    return _after_console(thread, status)
+        if background is not None:
+            background.end()
+    return status or EXIT_FAILED if background is None else _after_console(background, status)
 
 
-def _after_console(thread: _DemoThread | None, status: int) -> int:
-    if thread is None:
-        return status or EXIT_FAILED
-    if thread.verdict is not None:
-        _show(thread.verdict, thread.demonstration.url)
-        return status or thread.verdict.exit_status
-    if thread.demonstration.url:
-        say(f"page     {thread.demonstration.url}")
-    if thread.error is not None:
-        raise thread.error
+def _after_console(background: _DemoThread, status: int) -> int:
+    demonstration = background.demonstration
+    if demonstration.verdict is not None:
+        _show(demonstration.verdict, demonstration.url)
+        return status or demonstration.verdict.exit_status
+    if demonstration.url:
+        say(f"page     {demonstration.url}")
+    if background.error is not None:
+        raise background.error
     return status
 
 
 class _DemoThread:
-    """The demonstration beside the console: it starts the sweep and tells the console's log what it does."""
+    """Runs the demonstration while the console is open; its steps appear in the console's log."""
 
     def __init__(self, rig: DemoRig, app: ConsoleApp) -> None:
         self._app = app
-        self.verdict: Verdict | None = None
         self.error: SweepscopeError | None = None
-        self.demonstration = Demonstration(rig, self._note, lambda _status: None)
+        self.demonstration = Demonstration(rig, self._note)
+        rig.supervisor.say = lambda text: self._note(text, "warning")
         self._thread = threading.Thread(target=self._run, name="demonstration", daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
         self._thread.start()
 
     def end(self) -> None:
@@ -213,26 +213,18 @@ class _DemoThread:
         self._thread.join()
 
     def _note(self, text: str, level: str = "info") -> None:
-        from tui.console.link.messages import Note  # noqa: PLC0415
+        from tui.console.link.messages import Note
 
         self._app.post_message(Note(text, level))
 
     def _run(self) -> None:
         try:
-            self.verdict = self.demonstration.run()
+            verdict = self.demonstration.run()
         except CancelledError:
             return
         except SweepscopeError as error:
             self.error = error
             self._note(str(error), "error")
             return
-        for line in self.verdict.findings():
+        for line in verdict.findings():
             self._note(line)
-
-
-def _complain(text: str) -> None:
-    print(f"sweepscope demo: {text}", file=sys.stderr, flush=True)
-
-
-def _to_log(_text: str) -> None:
-    """Nothing is printed before the console is there: stderr belongs to its picture."""

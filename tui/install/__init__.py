@@ -1,1 +1,1 @@
-"""The appliance's life on a machine: installing, updating, uninstalling, looking it over, and packing a report."""
+"""Installing, updating and uninstalling the services; the doctor's checks; the support report."""

@@ -1,4 +1,4 @@
-"""Looks over what people get wrong, and says the mend of each; every check is a function that answers, never raises."""
+"""`sweepscope doctor`: runs all checks of machine, devices, calibration, services and network."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import CalibrationError, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.run_dir import client_run_dir
-from tui.install.device_checks import check_camera, check_firmware, check_stage
-from tui.install.finding import Finding
-from tui.install.host_checks import (
+from tui.install.checks import (
+    DoctorFinding,
+    check_camera,
     check_clock,
+    check_firmware,
     check_groups,
     check_python,
     check_space,
     check_speed,
+    check_stage,
     clock_set_by_network,
     free_bytes,
     needed_bytes_per_s,
@@ -28,34 +30,34 @@ from tui.install.host_checks import (
     this_login,
     utc_now,
 )
-from tui.install.paths import machine_places
+from tui.install.paths import machine_paths
 
 CALIBRATION_DAYS = 90
 
 
 @dataclass(frozen=True)
 class KeyFacts:
-    """What is known of the keys for the way in over TCP."""
+    """Keys of the remote access over TCP."""
 
     server_key: Path
-    """Where the rig's key is, or should be."""
+    """File of the rig's key; it may be missing."""
     allowed: Callable[[], int]
-    """How many keys are let in (raises ConfigError: the list cannot be read)."""
+    """Number of keys that may connect (raises ConfigError: the list cannot be read)."""
 
 
-def examine(config: LoadedConfig, status: Callable[[], Status], keys: KeyFacts) -> Iterator[Finding]:
-    """All checks in the order in which they matter.
+def examine(config: LoadedConfig, status: Callable[[], Status], keys: KeyFacts) -> Iterator[DoctorFinding]:
+    """All checks, in the order in which problems should be fixed.
 
     Args:
         config: the effective configuration.
         status: asks the running daemon (raises SweepscopeError).
-        keys: what is known of the keys for the way in over TCP.
+        keys: keys of the remote access over TCP.
     """
     now, silence = _ask(status)
     rig, data_dir = config.rig, config.data_dir
-    checks: tuple[tuple[str, Callable[[], Finding]], ...] = (
+    checks: tuple[tuple[str, Callable[[], DoctorFinding]], ...] = (
         ("python", check_python),
-        ("groups", lambda: check_groups(this_login(), installed=machine_places().manifest.exists())),
+        ("groups", lambda: check_groups(this_login(), installed=machine_paths().manifest.exists())),
         ("stage", lambda: check_stage(rig.stage)),
         ("firmware", lambda: check_firmware(rig.stage, now)),
         ("camera", lambda: check_camera(rig.camera, now)),
@@ -71,7 +73,7 @@ def examine(config: LoadedConfig, status: Callable[[], Status], keys: KeyFacts) 
         try:
             yield check()
         except (OSError, SweepscopeError) as error:
-            yield Finding(name, "wrong", str(error), "this should be readable: look at its permissions")
+            yield DoctorFinding(name, "wrong", str(error), "this should be readable: look at its permissions")
 
 
 def _ask(status: Callable[[], Status]) -> tuple[Status | None, str]:
@@ -81,23 +83,25 @@ def _ask(status: Callable[[], Status]) -> tuple[Status | None, str]:
         return None, str(error)
 
 
-def check_calibration(name: str, camera_kind: str, now: datetime) -> Finding:
-    """The calibration is there, readable, and not too old."""
+def check_calibration(name: str, camera_kind: str, now: datetime) -> DoctorFinding:
+    """The calibration exists, can be read, and is not too old."""
     if not name:
         if camera_kind == "simulated":
-            return Finding("calibration", "ok", "the simulated rig knows its own")
-        return Finding("calibration", "note", "none: maps, no cloud", "set reconstruct.calibration")
+            return DoctorFinding("calibration", "ok", "the simulated rig knows its own")
+        return DoctorFinding("calibration", "note", "none: maps, no cloud", "set reconstruct.calibration")
     path = Path(name).expanduser()
     try:
         calibration, _ = load_calibration(path)
         age_days = _age_days(calibration.valid_for, path, now)
     except (CalibrationError, OSError, ValueError) as error:
-        return Finding("calibration", "wrong", str(error), "set reconstruct.calibration to a calibration, or calibrate")
+        return DoctorFinding(
+            "calibration", "wrong", str(error), "set reconstruct.calibration to a calibration, or calibrate"
+        )
     limit_days = (calibration.valid_for and calibration.valid_for.days) or CALIBRATION_DAYS
     text = f"{path} is {age_days:.0f} days old"
     if age_days > limit_days:
-        return Finding("calibration", "note", text, "calibrate again, or try 'sweepscope calibrate check'")
-    return Finding("calibration", "ok", text)
+        return DoctorFinding("calibration", "note", text, "calibrate again, or try 'sweepscope calibrate check'")
+    return DoctorFinding("calibration", "ok", text)
 
 
 def _age_days(validity: Validity | None, path: Path, now: datetime) -> float:
@@ -108,8 +112,8 @@ def _age_days(validity: Validity | None, path: Path, now: datetime) -> float:
     return (now - moment).total_seconds() / 86_400
 
 
-def check_sockets(find: Callable[[], Path]) -> Finding:
-    """The folder of the sockets is there and closed to others.
+def check_sockets(find: Callable[[], Path]) -> DoctorFinding:
+    """The folder of the sockets exists and is closed to other users.
 
     Args:
         find: the folder in which a daemon listens (raises NoServiceError).
@@ -117,39 +121,43 @@ def check_sockets(find: Callable[[], Path]) -> Finding:
     try:
         folder = find()
     except NoServiceError as error:
-        return Finding("sockets", "wrong", str(error), "sudo systemctl start sweepscope.target, or 'sweepscope up'")
+        return DoctorFinding(
+            "sockets", "wrong", str(error), "sudo systemctl start sweepscope.target, or 'sweepscope up'"
+        )
     mode = stat.S_IMODE(folder.stat().st_mode)
     if mode & 0o007:
-        return Finding("sockets", "wrong", f"{folder} is open to all users", f"chmod o= {folder}")
-    return Finding("sockets", "ok", f"{folder}, mode {mode:04o}")
+        return DoctorFinding("sockets", "wrong", f"{folder} is open to all users", f"chmod o= {folder}")
+    return DoctorFinding("sockets", "ok", f"{folder}, mode {mode:04o}")
 
 
-def check_services(now: Status | None, silence: str) -> Finding:
-    """The daemon answers, the writer is with it, and no fault waits to be seen."""
+def check_services(now: Status | None, silence: str) -> DoctorFinding:
+    """The daemon answers, the writer is connected, and no fault is unacknowledged."""
     if now is None:
-        return Finding("services", "wrong", silence, "see 'sweepscope logs --service daemon'")
+        return DoctorFinding("services", "wrong", silence, "see 'sweepscope logs --service daemon'")
     text = f"daemon {now.state}, {now.stage_kind} stage, {now.camera_kind} camera"
     if not now.writer_alive:
-        return Finding("services", "wrong", f"{text}; the writer is away", "see 'sweepscope logs --service writer'")
+        return DoctorFinding(
+            "services", "wrong", f"{text}; the writer is away", "see 'sweepscope logs --service writer'"
+        )
     faults = ", ".join(sorted({fault.code for fault in now.faults if not fault.acknowledged}))
     if faults:
-        return Finding("services", "note", f"{text}; faults {faults}", "the console says what each asks for")
-    return Finding("services", "ok", text)
+        return DoctorFinding("services", "note", f"{text}; faults {faults}", "the console shows what to do about each")
+    return DoctorFinding("services", "ok", text)
 
 
-def check_network(host: str, page_host: str, keys: KeyFacts) -> Finding:
-    """What is offered to other machines is meant, has a key that nobody else reads, and lets somebody in."""
+def check_network(host: str, page_host: str, keys: KeyFacts) -> DoctorFinding:
+    """Remote access, where it is configured, has a private key, and at least one key may connect."""
     page = "" if page_host in ("127.0.0.1", "::1", "localhost") else f"; the page is open to view at {page_host}"
     if not host:
-        return Finding("network", "note" if page else "ok", f"no lane is offered to other machines{page}")
+        return DoctorFinding("network", "note" if page else "ok", f"no remote access is offered{page}")
     if not keys.server_key.exists():
-        mend = "sudo sweepscope keys make --server (or empty network.host)"
-        return Finding("network", "wrong", f"offered at {host}, but there is no key {keys.server_key}", mend)
+        fix = "sudo sweepscope keys make --server (or empty network.host)"
+        return DoctorFinding("network", "wrong", f"offered at {host}, but there is no key {keys.server_key}", fix)
     if stat.S_IMODE(keys.server_key.stat().st_mode) & 0o077:
-        mend = f"chmod 600 {keys.server_key}, and make a new one: others may have read it"
-        return Finding("network", "wrong", f"{keys.server_key} can be read by others", mend)
+        fix = f"chmod 600 {keys.server_key}, and make a new one: others may have read it"
+        return DoctorFinding("network", "wrong", f"{keys.server_key} can be read by others", fix)
     count = keys.allowed()
     if not count:
-        mend = "sudo sweepscope keys allow NAME KEY"
-        return Finding("network", "note", f"offered at {host}, and nobody is let in{page}", mend)
-    return Finding("network", "ok", f"offered at {host} to {count} key{'s' * (count > 1)}{page}")
+        fix = "sudo sweepscope keys allow NAME KEY"
+        return DoctorFinding("network", "note", f"offered at {host}, but no key may connect{page}", fix)
+    return DoctorFinding("network", "ok", f"offered at {host} to {count} key{'s' * (count > 1)}{page}")

@@ -1,4 +1,4 @@
-"""Asks the journal for what the services logged, and packs what a maintainer would ask for."""
+"""Reads what the services logged from systemd's journal, and packs a support report."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ REPORT_LINES = 5000
 
 
 class NoJournalError(SweepscopeError):
-    """There is no journal here to ask."""
+    """This machine has no journal."""
 
 
 def journal_command(
     *, service: str = "", scan_uid: str = "", lines: int = 200, follow: bool = False, as_json: bool = False
 ) -> tuple[str, ...]:
-    """The journalctl command line; also shows what systemd says about our units.
+    """The journalctl command line; systemd's own messages about our units are included.
 
     Raises:
         NoJournalError: no journalctl, or no journal.
@@ -49,7 +49,7 @@ def journal_command(
 
 
 def versions() -> dict[str, object]:
-    """Program, packages, Python and system."""
+    """Versions of Python, packages and system."""
     packages = {dist.metadata["Name"]: dist.version for dist in distributions() if dist.metadata["Name"]}
     return {
         "python": platform.python_version(),
@@ -60,7 +60,7 @@ def versions() -> dict[str, object]:
 
 
 def last_logs() -> str:
-    """The newest lines of all services, or why there are none."""
+    """The newest lines of all services, or the reason why there are none."""
     try:
         return run(*journal_command(lines=REPORT_LINES), timeout_s=60)
     except (NoJournalError, InstallError) as error:
@@ -71,7 +71,7 @@ def pack(target: Path, texts: Mapping[str, str]) -> None:
     """Write a .tar.gz that only its owner can read; an existing file is not replaced.
 
     Raises:
-        SweepscopeError: the file is there already, or cannot be written.
+        SweepscopeError: the file exists already, or cannot be written.
     """
     try:
         descriptor = os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -86,7 +86,7 @@ def pack(target: Path, texts: Mapping[str, str]) -> None:
 
 
 def without_home(text: str, homes: Sequence[str]) -> str:
-    """The text with the names of home folders taken out: they are people's names."""
+    """The text with home folders replaced by ~: they contain people's names."""
     for home in homes:
         if len(home) > 1:
             text = text.replace(home, "~")
@@ -94,5 +94,5 @@ def without_home(text: str, homes: Sequence[str]) -> str:
 
 
 def as_text(value: object) -> str:
-    """JSON for people."""
+    """Indented JSON."""
     return json.dumps(value, indent=1, default=str) + "\n"

@@ -1,8 +1,7 @@
-"""The machine as the installer sees it: runs commands without a shell, moves links at once, knows if systemd runs."""
+"""Runs commands without a shell, and replaces files and links atomically."""
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 
@@ -13,14 +12,14 @@ LONG_S = 1800.0
 
 
 class InstallError(SweepscopeError):
-    """A step of installing that failed; what ran before still runs."""
+    """A step of the installation failed; what ran before still runs."""
 
 
 def run(*command: str | Path, timeout_s: float = LONG_S) -> str:
-    """Run a command; returns what it said.
+    """Run a command; returns its stdout.
 
     Raises:
-        InstallError: it is missing, failed, or took too long; with its last line.
+        InstallError: it is missing, failed, or took too long; with the last line of its output.
     """
     words = [str(word) for word in command]
     try:
@@ -34,23 +33,11 @@ def run(*command: str | Path, timeout_s: float = LONG_S) -> str:
 
 
 def point(link: Path, target: Path) -> None:
-    """Let the symbolic link ``link`` point to ``target``; it exists at every moment."""
+    """Make the symbolic link ``link`` point to ``target``, atomically."""
     replace_file(link, lambda temporary: temporary.symlink_to(target))
 
 
-def put(path: Path, text: str, mode: int = 0o644) -> None:
-    """Write a file in one step."""
+def put(path: Path, text: str) -> None:
+    """Write a file that everybody may read, atomically."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, text.encode(), mode=mode)
-
-
-def systemd_runs(*, user: bool) -> bool:
-    """True if there is a systemd that can be asked to start things."""
-    if not Path("/run/systemd/system").is_dir():
-        return False
-    return not user or bool(os.environ.get("XDG_RUNTIME_DIR"))
-
-
-def systemctl(*words: str, user: bool, timeout_s: float = 300.0) -> str:
-    """Ask systemd (raises InstallError)."""
-    return run("systemctl", *(("--user",) if user else ()), *words, timeout_s=timeout_s)
+    replace_file(path, text.encode(), mode=0o644)

@@ -1,4 +1,4 @@
-"""Owns where an installation puts things, for the whole machine or for one user."""
+"""Paths of an installation, for the whole machine or for one user."""
 
 from __future__ import annotations
 
@@ -7,26 +7,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-UNIT_PROGRAM = "/opt/sweepscope/current/bin/sweepscope"
-"""The program as it stands in the unit files of this project."""
-TARGET = "sweepscope.target"
-SERVICES = ("daemon", "writer", "worker", "viewer")
-MANIFEST = "installed.json"
-
 
 @dataclass(frozen=True)
-class Places:
+class InstallPaths:
     """Absolute paths of one installation."""
 
     home: Path
-    """The program: ``releases/<stamp>`` environments, ``current`` points to one of them."""
+    """The program: ``releases/<stamp>`` are environments, ``current`` is a link to one of them."""
     units: Path
+    """Folder of systemd's unit files."""
     config: Path
     """rig.toml."""
     data: Path
-    """Folder of all scans that a new configuration names; never touched by an update or by uninstalling."""
+    """Folder of all scans in a new configuration; neither an update nor uninstalling touches it."""
     command: Path
-    """Link that puts the command onto everybody's path."""
+    """Link to the command, in a folder of the search path."""
     cache: Path
     user: bool = False
     """For one user: no group, no device rules, units of the user's own systemd."""
@@ -43,11 +38,11 @@ class Places:
 
     @property
     def manifest(self) -> Path:
-        """List of the files that were put outside of :attr:`home`."""
-        return self.home / MANIFEST
+        """JSON list of the files installed outside of :attr:`home`."""
+        return self.home / "installed.json"
 
     def system_files(self) -> dict[str, Path]:
-        """Files of the source tree's ``systemd`` folder for the whole machine, and where they go."""
+        """Files below ``systemd`` of the source tree that only the machine gets, and where they go."""
         if self.user:
             return {}
         return {
@@ -57,9 +52,9 @@ class Places:
         }
 
 
-def machine_places() -> Places:
+def machine_paths() -> InstallPaths:
     """For the whole machine."""
-    return Places(
+    return InstallPaths(
         home=Path("/opt/sweepscope"),
         units=Path("/etc/systemd/system"),
         config=Path("/etc/sweepscope/rig.toml"),
@@ -69,12 +64,12 @@ def machine_places() -> Places:
     )
 
 
-def user_places(environ: Mapping[str, str] = os.environ) -> Places:
-    """For the user that runs us."""
+def user_paths(environ: Mapping[str, str] = os.environ) -> InstallPaths:
+    """For the user of this process."""
     home = Path(environ.get("HOME") or Path.home())
     config = Path(environ.get("XDG_CONFIG_HOME") or home / ".config")
     share = Path(environ.get("XDG_DATA_HOME") or home / ".local/share")
-    return Places(
+    return InstallPaths(
         home=share / "sweepscope",
         units=config / "systemd/user",
         config=config / "sweepscope/rig.toml",

@@ -1,4 +1,4 @@
-"""Owns uninstalling: takes away everything that installing put there, and leaves scans and their configuration."""
+"""Uninstalls: removes everything that installing created, except scans and their configuration."""
 
 from __future__ import annotations
 
@@ -11,72 +11,71 @@ from pathlib import Path
 
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import ConfigError
-from tui.install.install import OWNER
-from tui.install.machine import InstallError, run, systemctl, systemd_runs
-from tui.install.paths import TARGET, Places
-from tui.install.services import refuse_during_a_sweep
+from tui.install.install import OWNER, Step
+from tui.install.machine import InstallError, run
+from tui.install.paths import InstallPaths
+from tui.install.systemd import ALL_SERVICES, TARGET, refuse_during_a_sweep, systemctl, systemd_runs
 
 
-def uninstall_steps(places: Places, say: Callable[[str], None]) -> list[tuple[str, Callable[[], None]]]:
-    """Words and deeds in their order; each may be done again.
+def uninstall_steps(paths: InstallPaths, say: Callable[[str], None]) -> list[Step]:
+    """The steps in order; each may be repeated.
 
     Raises:
         InstallError: nothing is installed there.
     """
-    if not places.manifest.exists():
-        raise InstallError(f"nothing is installed in {places.home}")
-    data = _data_dir(places)
-    steps: list[tuple[str, Callable[[], None]]] = []
-    steps.append(("see that no sweep is running", lambda: refuse_during_a_sweep(places)))
-    if systemd_runs(user=places.user):
-        steps.append((f"stop and disable {TARGET}", lambda: _stop(places)))
-    steps.append(("keep the configuration beside the scans", lambda: _keep_config(places, data, say)))
-    steps.append(("remove units, rules and links", lambda: _remove_files(places)))
-    if not places.user:
+    if not paths.manifest.exists():
+        raise InstallError(f"nothing is installed in {paths.home}")
+    data = _data_dir(paths)
+    steps: list[Step] = [("check that no sweep is running", lambda: refuse_during_a_sweep(paths))]
+    if systemd_runs(user=paths.user):
+        steps.append((f"stop and disable {TARGET}", lambda: _stop(paths)))
+    steps.append(("copy the configuration next to the scans", lambda: _keep_config(paths, data, say)))
+    steps.append(("remove units, rules and links", lambda: _remove_files(paths)))
+    if not paths.user:
         steps.append(("give the scans to root and remove user and group", lambda: _remove_user(data, say)))
-    steps.append((f"remove {places.home} and {places.cache}", lambda: _remove_program(places)))
+    steps.append((f"remove {paths.home} and {paths.cache}", lambda: _remove_program(paths)))
     return steps
 
 
-def _stop(places: Places) -> None:
-    with suppress(InstallError):  # a target that was never enabled
-        systemctl("disable", "--quiet", TARGET, user=places.user)
-    systemctl("stop", TARGET, "sweepscope-*.service", user=places.user)
+def _stop(paths: InstallPaths) -> None:
+    with suppress(InstallError):  # the target was never enabled
+        systemctl("disable", "--quiet", TARGET, user=paths.user)
+    systemctl("stop", TARGET, ALL_SERVICES, user=paths.user)
 
 
-def _data_dir(places: Places) -> Path:
+def _data_dir(paths: InstallPaths) -> Path:
     try:
-        return load_config(str(places.config), environ={}).data_dir
+        return load_config(str(paths.config), environ={}).data_dir
     except ConfigError:
-        return places.data
+        return paths.data
 
 
-def _keep_config(places: Places, data: Path, say: Callable[[str], None]) -> None:
-    if places.config.exists() and data.is_dir():
-        shutil.copyfile(places.config, data / "rig.toml")
+def _keep_config(paths: InstallPaths, data: Path, say: Callable[[str], None]) -> None:
+    if paths.config.exists() and data.is_dir():
+        shutil.copyfile(paths.config, data / "rig.toml")
         say(f"  {data / 'rig.toml'}")
 
 
-def _remove_files(places: Places) -> None:
-    for name in json.loads(places.manifest.read_text())["files"]:
+def _remove_files(paths: InstallPaths) -> None:
+    for name in json.loads(paths.manifest.read_text())["files"]:
         Path(name).unlink(missing_ok=True)
-    for drop_in in places.units.glob("sweepscope*.d"):  # made by 'systemctl edit'
+    for drop_in in paths.units.glob("sweepscope*.d"):  # ours, and those made by 'systemctl edit'
         shutil.rmtree(drop_in, ignore_errors=True)
-    places.config.unlink(missing_ok=True)
-    if places.user:
-        with suppress(OSError):  # a person's own key stays: it opens other rigs too
-            places.config.parent.rmdir()
+    paths.config.unlink(missing_ok=True)
+    if paths.user:
+        with suppress(OSError):  # not empty: the user's own key stays, because it opens other rigs too
+            paths.config.parent.rmdir()
     else:
-        for folder in (places.config.parent, Path("/run/sweepscope")):
+        for folder in (paths.config.parent, Path("/run/sweepscope")):
             shutil.rmtree(folder, ignore_errors=True)
-    if systemd_runs(user=places.user):
-        systemctl("daemon-reload", user=places.user)
+    if systemd_runs(user=paths.user):
+        systemctl("daemon-reload", user=paths.user)
 
 
 def _remove_user(data: Path, say: Callable[[str], None]) -> None:
     for path in (Path("/var/lib/sweepscope"), data, *data.rglob("*")):
         with suppress(OSError, LookupError):
-            if path.owner() == OWNER:  # scans that belong to somebody else stay theirs
+            if path.owner() == OWNER:  # scans of other users stay theirs
                 os.chown(path, 0, 0, follow_symlinks=False)
     for command in (("userdel", OWNER), ("groupdel", OWNER)):
         try:
@@ -86,9 +85,9 @@ def _remove_user(data: Path, say: Callable[[str], None]) -> None:
                 say(f"  {error}")
 
 
-def _remove_program(places: Places) -> None:
-    if not places.user:
-        for path in Path("/var/lib/sweepscope").glob(".*"):  # what libraries leave in a home; never scans
+def _remove_program(paths: InstallPaths) -> None:
+    if not paths.user:
+        for path in Path("/var/lib/sweepscope").glob(".*"):  # hidden files of libraries; never scans
             shutil.rmtree(path, ignore_errors=True)
-    for folder in (places.cache, places.home):
+    for folder in (paths.cache, paths.home):
         shutil.rmtree(folder, ignore_errors=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from .drivers import CameraKind, StageKind
 from .simulation import SimulationConfig
 
 PositiveMs = Annotated[float, Meta(gt=0, le=600_000)]
@@ -28,7 +29,7 @@ class StorageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class StageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The stepper-driven stage that carries the slide projector."""
 
-    kind: Literal["simulated", "uno", "legacy"] = "simulated"
+    kind: StageKind = "simulated"
     """Which motion controller drives the stage."""
     port: str = ""
     """Serial port of the controller; empty looks for the only one there is."""
@@ -63,7 +64,7 @@ class StageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CameraConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The camera and its settings at the start of a scan."""
 
-    kind: Literal["simulated", "replay", "genicam", "uvc"] = "simulated"
+    kind: CameraKind = "simulated"
     """Which camera driver is used; ``replay`` shows the pictures of a folder or a scan again."""
     device: Annotated[str, Meta(max_length=4096)] = ""
     """``genicam``: the serial number, ``uvc``: /dev/videoN, ``replay``: the folder or the scan; empty: the only one."""

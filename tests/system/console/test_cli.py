@@ -100,12 +100,12 @@ def test_a_console_without_a_terminal_says_so_in_one_line():
 
 def test_a_bug_is_one_line_with_a_hint_and_a_traceback_only_when_asked_for(monkeypatch, capsys):
     from tui import cli
-    from tui.commands import tools
+    from tui.commands import installation
 
     def broken(**_):
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr(tools.version, "callback", broken)
+    monkeypatch.setattr(installation.version, "callback", broken)
     assert cli.run(["version"]) == 1
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "ZeroDivisionError: oh" in said and "--debug" in said
@@ -115,12 +115,12 @@ def test_a_bug_is_one_line_with_a_hint_and_a_traceback_only_when_asked_for(monke
 
 def test_an_interrupt_is_quiet_and_130(monkeypatch, capsys):
     from tui import cli
-    from tui.commands import tools
+    from tui.commands import installation
 
     def interrupted(**_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tools.version, "callback", interrupted)
+    monkeypatch.setattr(installation.version, "callback", interrupted)
     assert cli.run(["version"]) == 130
     assert capsys.readouterr().err.strip() == ""
 

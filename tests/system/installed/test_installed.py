@@ -227,7 +227,7 @@ def test_a_release_whose_daemon_does_not_start_is_taken_back(root: ThrowawayRoot
     release = root.path("/opt/sweepscope/current").readlink()
     root.run("mkdir", "/srv/broken")
     root.run("cp", "-r", *(f"{SOURCE_INSIDE}/{part}" for part in _PARTS), "/srv/broken")
-    daemon = root.path("/srv/broken/acquire/daemon.py")
+    daemon = root.path("/srv/broken/acquire/daemon/service.py")
     daemon.write_text(
         daemon.read_text().replace("def run_daemon(", "def run_daemon(*_):\n    raise SystemExit(1)\n\n\ndef _(")
     )

@@ -15,6 +15,8 @@ from tests.conftest import need
 from tests.waiting import run
 
 UNITS = ROOT / "systemd" / "system"
+COMMON = "sweepscope-.service.d/10-common.conf"
+"""Settings of all services; systemd adds them to each."""
 SERVICES = sorted(path.name for path in UNITS.glob("*.service"))
 WORST = 2.0
 NETWORKED = ("sweepscope-viewer.service", "sweepscope-gateway.service")
@@ -30,9 +32,9 @@ def analyze() -> str:
 @pytest.fixture
 def units(tmp_path: Path) -> Path:
     """The units with a program in them that is there."""
-    for path in UNITS.iterdir():
-        text = path.read_text().replace("/opt/sweepscope/current/bin/sweepscope", "/bin/true")
-        (tmp_path / path.name).write_text(text)
+    shutil.copytree(UNITS, tmp_path, dirs_exist_ok=True)
+    for path in tmp_path.glob("*.service"):
+        path.write_text(path.read_text().replace("/opt/sweepscope/current/bin/sweepscope", "/bin/true"))
     return tmp_path
 
 
@@ -43,13 +45,16 @@ def complaints(analyze: str, *paths: Path) -> str:
 
 
 def test_systemd_has_nothing_to_say_about_the_units(analyze: str, units: Path) -> None:
-    assert complaints(analyze, *units.iterdir()) == ""
+    assert complaints(analyze, *(path for path in units.iterdir() if path.is_file())) == ""
 
 
-def test_a_misspelt_key_would_be_noticed(analyze: str, units: Path) -> None:
-    unit = units / "sweepscope-daemon.service"
-    unit.write_text(unit.read_text().replace("ProtectHome=", "ProtectHoem="))
-    assert "ProtectHoem" in complaints(analyze, unit)
+@pytest.mark.parametrize(
+    ("file", "key"), [("sweepscope-daemon.service", "WatchdogSec"), (COMMON, "ProtectHome")], ids=["unit", "drop-in"]
+)
+def test_a_misspelt_key_would_be_noticed(analyze: str, units: Path, file: str, key: str) -> None:
+    path = units / file
+    path.write_text(path.read_text().replace(f"{key}=", f"{key}x="))
+    assert f"{key}x" in complaints(analyze, units / "sweepscope-daemon.service")
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -81,7 +86,7 @@ def test_only_viewer_and_gateway_have_a_network_and_only_the_daemon_has_devices(
 
 
 def test_no_service_is_needed_by_another_so_that_any_may_die() -> None:
-    for path in UNITS.iterdir():
+    for path in (path for path in UNITS.rglob("*") if path.is_file()):
         parser = configparser.RawConfigParser(strict=False, interpolation=None)
         parser.read(path)
         assert not set(parser["Unit"]) & {"requires", "bindsto", "requisite"}

@@ -1,4 +1,4 @@
-"""Subcommands of calibration: camera, response, light plane by three ways, checks, files of the original program."""
+"""Subcommands of calibration: camera, response, three methods for the light plane, checks, import."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .watch import watch
 
 @click.group()
 def calibrate() -> None:
-    """Calibrate camera and light plane, and check what they are worth."""
+    """Calibrate camera and light plane, and check them."""
 
 
 for _command in (

@@ -10,7 +10,7 @@ import pytest
 from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import SWEEPING
-from tui.demo.report import Verdict, is_final, read_report
+from tui.demo.report import DemoVerdict, is_final, read_report
 from tui.demo.rig import DemoOptions, DemoRig
 
 SAVED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
@@ -19,8 +19,8 @@ TRUTH = {
 }  # fmt: skip
 
 
-def verdict(status=SAVED, **truth) -> Verdict:
-    return Verdict(status, {"outcome": "complete", "counts": {"points": 73_177}, "truth": {**TRUTH, **truth}})
+def verdict(status=SAVED, **truth) -> DemoVerdict:
+    return DemoVerdict(status, {"outcome": "complete", "counts": {"points": 73_177}, "truth": {**TRUTH, **truth}})
 
 
 def test_a_complete_scan_near_the_truth_succeeds():
@@ -38,7 +38,7 @@ def test_too_few_points_or_too_large_an_error_fail(name, value):
 
 
 def test_a_report_without_truth_fails():
-    assert Verdict(SAVED, {"counts": {}, "truth": None}).exit_status == 1
+    assert DemoVerdict(SAVED, {"counts": {}, "truth": None}).exit_status == 1
 
 
 def test_a_scan_that_lacks_frames_is_incomplete_whatever_its_points():

@@ -1,4 +1,4 @@
-"""The doctor: each check says what is right and what is wrong, and wrong things come with their mend."""
+"""The doctor: each check says what is right and what is wrong, and each problem comes with a fix."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from acquire.contract.config.model import CameraConfig, StageConfig
 from acquire.contract.errors import NoServiceError
 from acquire.contract.messaging.messages import FaultReport, Status
 from tests.fakes.processes.sweep_source import calibration_json
-from tui.install import host_checks
-from tui.install.device_checks import check_camera, check_firmware, check_stage
-from tui.install.doctor import KeyFacts, check_calibration, check_network, check_services, check_sockets, examine
-from tui.install.finding import Finding
-from tui.install.host_checks import (
+from tui.install import checks
+from tui.install.checks import (
+    DoctorFinding,
     Login,
+    check_camera,
     check_clock,
+    check_firmware,
     check_groups,
     check_python,
     check_space,
     check_speed,
+    check_stage,
     needed_bytes_per_s,
 )
+from tui.install.doctor import KeyFacts, check_calibration, check_network, check_services, check_sockets, examine
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 READY = Status(state="idle", stage_kind="uno", camera_kind="uvc", stage_version="1.00", writer_alive=True)
@@ -42,8 +44,8 @@ def dev(tmp_path: Path, *names: str) -> Path:
     return tmp_path
 
 
-def level(finding: Finding) -> str:
-    assert finding.mend or finding.level != "wrong", f"no mend: {finding}"
+def level(finding: DoctorFinding) -> str:
+    assert finding.fix or finding.level != "wrong", f"no fix: {finding}"
     return finding.level
 
 
@@ -74,6 +76,7 @@ def test_who_may_use_the_rig_has_the_group_in_this_very_login(login: Login, expe
         (("ttyACM0", "ttyUSB0"), "", "wrong"),
         (("ttyACM0", "ttyUSB0", "sweepscope-stage"), "", "ok"),
         (("ttyACM0",), "ttyACM7", "wrong"),
+        (("serial/by-id/usb-1", "serial/by-id/usb-2", "sweepscope-stage"), "", "ok"),
     ],
 )
 def test_the_port_of_the_stage_is_there_and_only_one(
@@ -90,7 +93,7 @@ def test_a_device_that_may_not_be_opened_names_the_group_to_join(
     machine = dev(tmp_path, "ttyACM0", "video0")
     for finding in (check_stage(StageConfig(kind="uno"), machine), check_camera(UVC, None, machine)):
         assert level(finding) == "wrong"
-        assert f"join the group {machine.group()}" in finding.mend
+        assert f"join the group {machine.group()}" in finding.fix
 
 
 def test_a_simulated_rig_needs_no_device(tmp_path: Path) -> None:
@@ -123,7 +126,7 @@ def test_a_disk_has_room_for_a_sweep_and_better_for_ten(tmp_path: Path, free: in
 def test_a_disk_slower_than_the_camera_is_wrong_and_measuring_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(host_checks, "SPEED_BYTES", 2_000_000)
+    monkeypatch.setattr(checks, "SPEED_BYTES", 2_000_000)
     assert level(check_speed(tmp_path / "not-yet-there", 1.0)) == "ok"
     assert level(check_speed(tmp_path, 1e15)) == "wrong"
     assert list(tmp_path.iterdir()) == []
@@ -199,7 +202,7 @@ def unreachable() -> Status:
 
 
 def test_an_examination_asks_everything_and_never_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host_checks, "SPEED_BYTES", 1_000_000)
+    monkeypatch.setattr(checks, "SPEED_BYTES", 1_000_000)
     variables = {"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path), "SWEEPSCOPE_STAGE__KIND": "uno"}
     found = {finding.name: level(finding) for finding in examine(load_config(environ=variables), unreachable, KEYS)}
     assert set(found) >= {"python", "groups", "stage", "firmware", "camera", "space", "disk speed", "calibration"}

@@ -13,15 +13,25 @@ import pytest
 from acquire.contract.errors import SweepscopeError
 from tests import ROOT
 from tests.fakes.fake_daemon import SWEEPING, FakeDaemon
-from tui.install.install import Installer, Wishes
+from tui.install.install import Installer, InstallOptions
 from tui.install.journal import journal_command, pack, without_home
 from tui.install.machine import InstallError, point, run
-from tui.install.paths import Places, machine_places, user_places
+from tui.install.paths import InstallPaths, machine_paths, user_paths
+from tui.install.systemd import unit_text
 from tui.install.uninstall import uninstall_steps
-from tui.install.units import unit_text
 
 SOURCE = ROOT
-DAEMON = (SOURCE / "systemd/system/sweepscope-daemon.service").read_text()
+UNITS = {path.name: path.read_text() for path in (SOURCE / "systemd/system").rglob("*") if path.is_file()}
+COMMON = UNITS["10-common.conf"]
+FOR_A_USER = {
+    *("Description", "After", "Before", "PartOf", "Wants", "StartLimitIntervalSec", "WantedBy", "Environment", "UMask"),
+    *("Type", "NotifyAccess", "ExecCondition", "ExecStart", "Restart", "RestartSec", "RemainAfterExit", "KillMode"),
+    *("WatchdogSec", "WatchdogSignal", "TimeoutStartSec", "TimeoutStopSec", "SuccessExitStatus", "NoNewPrivileges"),
+    *("RuntimeDirectory", "RuntimeDirectoryMode", "RuntimeDirectoryPreserve", "LockPersonality", "RestrictRealtime"),
+    *("RestrictSUIDSGID", "MemoryDenyWriteExecute", "SystemCallArchitectures", "SystemCallFilter"),
+    *("SystemCallErrorNumber", "RestrictAddressFamilies"),
+}
+"""What systemd grants to a user without root."""
 
 
 @pytest.fixture(autouse=True)
@@ -31,24 +41,36 @@ def nothing_of_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("SWEEPSCOPE_RUN", str(tmp_path / "nobody-here"))
 
 
-def places(tmp_path: Path) -> Places:
-    return user_places({"HOME": str(tmp_path)})
+def paths(tmp_path: Path) -> InstallPaths:
+    return user_paths({"HOME": str(tmp_path)})
 
 
 def test_a_data_folder_under_home_stays_reachable_while_the_rest_of_home_is_hidden() -> None:
-    text = unit_text(DAEMON, machine_places(), "/home/ann/scans")
+    text = unit_text(COMMON, machine_paths(), "/home/ann/scans")
     assert "ProtectHome=tmpfs\nBindPaths=/home/ann/scans\nReadWritePaths=/home/ann/scans\n" in text
 
 
 def test_the_own_data_folder_needs_no_exception() -> None:
-    assert "ReadWritePaths" not in unit_text(DAEMON, machine_places(), "/var/lib/sweepscope/scans")
+    assert "ReadWritePaths" not in unit_text(COMMON, machine_paths(), "/var/lib/sweepscope/scans")
 
 
-def test_a_users_unit_asks_for_nothing_that_needs_root(tmp_path: Path) -> None:
-    text = unit_text(DAEMON, places(tmp_path), "")
-    assert f"ExecStart={tmp_path}/" in text
-    keys = {line.partition("=")[0] for line in text.splitlines() if not line.startswith("#")}
-    assert not keys & {"User", "Group", "StateDirectory", "DeviceAllow", "ProtectSystem", "PrivateNetwork"}
+@pytest.mark.parametrize("name", UNITS)
+def test_a_users_unit_asks_for_nothing_that_needs_root_and_keeps_the_rest(tmp_path: Path, name: str) -> None:
+    settings = _settings(unit_text(UNITS[name], paths(tmp_path), ""))
+    assert set(settings) <= FOR_A_USER
+    assert settings.get("ExecStart", f"{tmp_path}/").startswith(f"{tmp_path}/")
+    assert settings.get("WantedBy", "default.target") in ("default.target", "sweepscope.target")
+    assert set(_settings(UNITS[name])) & FOR_A_USER - {"Environment"} <= set(settings)
+
+
+def _settings(text: str) -> dict[str, str]:
+    return dict(line.split("=", 1) for line in text.splitlines() if "=" in line and not line.startswith("#"))
+
+
+def test_units_name_the_configuration_of_the_installation(tmp_path: Path) -> None:
+    here = paths(tmp_path)
+    assert f"Environment=SWEEPSCOPE_CONFIG={here.config}\n" in unit_text(COMMON, here, "")
+    assert "Environment=SWEEPSCOPE_CONFIG=/etc/sweepscope/rig.toml\n" in unit_text(COMMON, machine_paths(), "/srv")
 
 
 class FailingInstaller(Installer):
@@ -62,11 +84,11 @@ class FailingInstaller(Installer):
 
 
 def test_a_new_release_that_does_not_run_is_never_switched_to(tmp_path: Path) -> None:
-    here = places(tmp_path)
+    here = paths(tmp_path)
     old = here.releases / "old"
     old.mkdir(parents=True)
     point(here.current, old)
-    installer = FailingInstaller(here, Wishes(SOURCE, {}, start=False), lambda _: None)
+    installer = FailingInstaller(here, InstallOptions(SOURCE, {}, start=False), lambda _: None)
     with pytest.raises(InstallError, match="it does not run; old is in place as before"):
         installer.go()
     assert here.current.resolve() == old.resolve()
@@ -75,7 +97,7 @@ def test_a_new_release_that_does_not_run_is_never_switched_to(tmp_path: Path) ->
 
 def test_what_was_never_installed_cannot_be_uninstalled(tmp_path: Path) -> None:
     with pytest.raises(InstallError, match="nothing is installed"):
-        uninstall_steps(places(tmp_path), lambda _: None)
+        uninstall_steps(paths(tmp_path), lambda _: None)
 
 
 def test_a_command_that_fails_is_named_with_its_last_word(tmp_path: Path) -> None:
@@ -103,10 +125,11 @@ def test_logs_without_a_journal_say_where_to_look(monkeypatch: pytest.MonkeyPatc
         journal_command()
 
 
-def test_what_is_said_above_a_line_that_a_user_cannot_have_goes_with_it(tmp_path: Path) -> None:
-    text = unit_text(DAEMON, places(tmp_path), "")
-    assert "# never give up" in text
-    assert "compiled kernels are kept here" not in text
+def test_comments_of_settings_that_a_user_cannot_have_are_left_out_too(tmp_path: Path) -> None:
+    daemon = unit_text(UNITS["sweepscope-daemon.service"], paths(tmp_path), "")
+    assert "# the loop runs" in daemon
+    assert "compiled kernels" not in daemon and "compiled kernels" in UNITS["sweepscope-daemon.service"]
+    assert daemon.endswith("[Install]\nWantedBy=sweepscope.target\n")
 
 
 def source_tree(tmp_path: Path, pyproject: str) -> Path:
@@ -118,9 +141,9 @@ def source_tree(tmp_path: Path, pyproject: str) -> Path:
     return tree
 
 
-def installed(tmp_path: Path) -> tuple[Places, Path]:
-    """Places with an old release in them."""
-    here = places(tmp_path)
+def installed(tmp_path: Path) -> tuple[InstallPaths, Path]:
+    """Paths with an old release in them."""
+    here = paths(tmp_path)
     old = here.releases / "old"
     old.mkdir(parents=True)
     point(here.current, old)
@@ -129,9 +152,9 @@ def installed(tmp_path: Path) -> tuple[Places, Path]:
 
 def test_a_release_that_pip_cannot_install_leaves_the_old_one_in_place(tmp_path: Path) -> None:
     here, old = installed(tmp_path)
-    wishes = Wishes(source_tree(tmp_path, "this is no TOML ["), {}, packages_from=tmp_path, start=False)
+    options = InstallOptions(source_tree(tmp_path, "this is no TOML ["), {}, packages_from=tmp_path, start=False)
     with pytest.raises(InstallError, match=r"pip.* failed: .*old is in place as before"):
-        Installer(here, wishes, lambda _: None).go()
+        Installer(here, options, lambda _: None).go()
     assert here.current.resolve() == old.resolve()
     assert list(here.releases.iterdir()) == [old]
     assert not here.units.exists()
@@ -162,7 +185,7 @@ def test_after_a_switch_that_failed_units_list_and_link_are_the_old_ones_again(t
     here.manifest.write_text(json.dumps({"files": files, "release": "old"}))
     before = {path: path.read_text() for path in (*here.units.iterdir(), here.manifest)}
     with pytest.raises(KeyError):
-        SwitchingInstaller(here, Wishes(SOURCE, {}, start=False), lambda _: None).go()
+        SwitchingInstaller(here, InstallOptions(SOURCE, {}, start=False), lambda _: None).go()
     assert {path: path.read_text() for path in (*here.units.iterdir(), here.manifest)} == before
     assert here.current.resolve() == old.resolve()
     assert not here.config.exists()
@@ -182,7 +205,7 @@ def test_an_update_removes_what_only_the_release_before_had_and_what_a_killed_on
     gone = here.units / "sweepscope-gone.service"
     gone.write_text("")
     here.manifest.write_text(json.dumps({"files": [str(gone)], "release": "old"}))
-    installer = QuickInstaller(here, Wishes(SOURCE, {}, start=False), lambda _: None)
+    installer = QuickInstaller(here, InstallOptions(SOURCE, {}, start=False), lambda _: None)
     installer.go()
     assert not gone.exists()
     assert set(here.releases.iterdir()) == {old, installer.release}
@@ -197,7 +220,7 @@ def test_neither_update_nor_uninstalling_disturbs_a_sweep(
     here.manifest.write_text(json.dumps({"files": [], "release": "old"}))
     with FakeDaemon(run_dir, SWEEPING):
         with pytest.raises(InstallError, match=r"a sweep is running \(\d+ of 527 frames\)"):
-            QuickInstaller(here, Wishes(SOURCE, {}, start=False), lambda _: None).go()
+            QuickInstaller(here, InstallOptions(SOURCE, {}, start=False), lambda _: None).go()
         with pytest.raises(InstallError, match="a sweep is running"):
             uninstall_steps(here, lambda _: None)[0][1]()
     assert list(here.releases.iterdir()) == [old]
@@ -209,7 +232,7 @@ def test_a_persons_own_key_outlives_uninstalling(tmp_path: Path) -> None:
     key = here.config.parent / "keys/own.key"
     key.parent.mkdir(parents=True)
     key.touch()
-    for _words, deed in uninstall_steps(here, lambda _: None):
-        deed()
+    for _text, action in uninstall_steps(here, lambda _: None):
+        action()
     assert key.exists()
     assert not here.home.exists()

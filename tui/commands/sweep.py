@@ -1,4 +1,4 @@
-"""Subcommands that ask the running daemon for something: status, scan, estimate, pause, resume, stop."""
+"""Subcommands for sweeps: status, scan, estimate, pause, resume, stop. The running daemon does the work."""
 
 # ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
 
@@ -9,16 +9,14 @@ from typing import Any
 
 import click
 
-from tui.commands.context import F, Session, json_option, print_json
-from tui.commands.remote import far_options
+from tui.commands.context import PATH, Session, json_option, options, print_json, rig_options, show_reply
 
 
 @click.command()
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def status(session: Session, as_json: bool) -> None:
-    """Say what the rig is doing."""
+    """Show what the rig is doing."""
     from tui.text.status_text import status_lines
 
     with session.client() as client:
@@ -32,34 +30,26 @@ def status(session: Session, as_json: bool) -> None:
         click.echo(line)
 
 
-_PLAN = (
+_plan_options = options(
     click.option("--name", default="sweep", show_default=True, help="Part of the scan folder's name."),
     click.option("--first-steps", type=int, help="Position of frame 0 in microsteps."),
     click.option("--last-steps", type=int, help="Position of the last frame in microsteps."),
     click.option("--steps-per-frame", type=click.IntRange(min=1), help="Microsteps between two frames."),
     click.option("--mode", type=click.Choice(["step", "fly"]), help="Stop for each frame, or trigger on the fly."),
-    click.option("--settle-ms", type=float, help="Rest between a step and its trigger, in ms."),
-    click.option("--specimen", help="What lies on the stage."),
-    click.option("--operator", help="Who takes the scan."),
-    click.option("--notes", help="Free text that goes into the file."),
+    click.option("--settle-ms", type=float, help="Pause between a step and its trigger, in ms."),
+    click.option("--specimen", help="Name of the specimen."),
+    click.option("--operator", help="Name of the operator."),
+    click.option("--notes", help="Free text, stored in the file."),
     click.option("--tag", "tags", multiple=True, help="May be given more than once."),
-    click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="What the scan is for."),
+    click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="Use of the scan."),
 )
-
-
-def _plan_options(function: F) -> F:
-    """The options that say what a scan is."""
-    for option in reversed(_PLAN):
-        function = option(function)
-    return function
 
 
 @click.command()
 @_plan_options
 @click.option("--from-proposal", is_flag=True, help="Take bounds and exposure from the last pre-scan.")
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def scan(
     session: Session, /, wait: bool, from_proposal: bool, as_json: bool, tags: tuple[str, ...], **args: Any
@@ -73,23 +63,22 @@ def scan(
 
 
 @click.command()
-@click.argument("scan", required=False, type=click.Path(path_type=Path))
+@click.argument("scan", required=False, type=PATH)
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
-@json_option
-@far_options
+@rig_options
 @click.pass_obj
 def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> int:
-    """Go on with a sweep that holds, or with the interrupted sweep SCAN from its last commit.
+    """Resume a held sweep, or the interrupted sweep SCAN.
 
-    An interrupted sweep goes on only if its last frame, taken again, shows what it showed."""
+    An interrupted sweep goes on after its last committed frame, and only if that frame, taken again, shows the same."""
     if scan is None:
-        _ask(session, "resume", as_json)
+        _request(session, "resume", as_json)
         return 0
-    return _run(session, "resume_scan", wait, as_json, path=str(scan if session.far.address else scan.resolve()))
+    return _run(session, "resume_scan", wait, as_json, path=str(scan if session.remote.address else scan.resolve()))
 
 
 def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: Any) -> int:
-    """Start a sweep by ``command`` and follow it where that is asked for; returns the exit status."""
+    """Start a sweep by ``command``, and follow it with ``wait``; returns the exit status."""
     from tui.client.follow import Narrator, exit_status_of, follow_scan
     from tui.text.status_text import outcome_line
 
@@ -110,7 +99,7 @@ def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: A
 
 
 def _proposed(session: Session) -> dict[str, Any]:
-    """The bounds of the last pre-scan; its exposure is set."""
+    """The bounds of the last pre-scan; sets the camera to its exposure."""
     from acquire.contract.errors import CommandRefusedError
 
     with session.client() as client:
@@ -126,9 +115,9 @@ def _proposed(session: Session) -> dict[str, Any]:
 @json_option
 @click.pass_obj
 def estimate(session: Session, /, as_json: bool, tags: tuple[str, ...], **args: Any) -> None:
-    """Say how many frames, how long and how much disk a sweep takes.
+    """Estimate the frames, time and disk space of a sweep.
 
-    Nothing is made and nothing moves; what 'scan' would refuse is refused here in the same words."""
+    Nothing is written and nothing moves. A plan that 'scan' would refuse is refused here with the same message."""
     from acquire.contract.units import format_bytes, format_duration
 
     with session.client() as client:
@@ -149,26 +138,18 @@ def _show_started(result: dict[str, Any], as_json: bool) -> None:
         click.echo(f"sweep of {result.get('expected', '?')} frames into {result.get('path', '?')}")
 
 
-def _ask(session: Session, name: str, as_json: bool = False, /, **args: Any) -> None:
+def _request(session: Session, name: str, as_json: bool) -> None:
     with session.client() as client:
-        result = client.request(name, **args).result
-    if as_json:
-        print_json({"ok": True, **result})
-    else:
-        click.echo(f"{name}: done" if not result else f"{name}: {_in_words(result)}")
+        result = client.request(name).result
+    show_reply(name, result, as_json)
 
 
-def _in_words(result: dict[str, Any]) -> str:
-    return ", ".join(f"{key} {value}" for key, value in result.items())
-
-
-def _simple(name: str, manual: str) -> click.Command:
+def _command_without_arguments(name: str, manual: str) -> click.Command:
     @click.command(name, help=manual)
-    @json_option
-    @far_options
+    @rig_options
     @click.pass_obj
     def command(session: Session, as_json: bool) -> None:
-        _ask(session, name, as_json)
+        _request(session, name, as_json)
 
     return command
 
@@ -176,8 +157,8 @@ def _simple(name: str, manual: str) -> click.Command:
 COMMANDS: tuple[click.Command, ...] = (
     status,
     scan,
-    _simple("pause", "Hold the running sweep; nothing is lost."),
+    _command_without_arguments("pause", "Hold the running sweep; nothing is lost."),
     resume,
-    _simple("stop", "End the sweep, keep what was taken; stop the stage."),
+    _command_without_arguments("stop", "End the sweep, keep the frames taken so far; stop the stage."),
     estimate,
 )
