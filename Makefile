@@ -4,7 +4,9 @@ PY := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 KERNELS := $(VENV)/.compiled
 TEST_STAMP := $(VENV)/.installed-test
-APT := chromium fonts-dejavu-core libusb-1.0-0 systemd tmux gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
+LIBPYTHON := libpython$(shell python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+APT := chromium fonts-dejavu-core libegl1 libopengl0 $(LIBPYTHON) libusb-1.0-0 systemd tmux \
+	gcc libc6-dev gcc-avr avr-libc libsimavr-dev libelf-dev
 ifneq ($(shell id -u),0)
 SUDO := sudo
 endif
@@ -35,7 +37,8 @@ $(KERNELS): $(STAMP) $(wildcard process/*.py process/fold/*.py process/crossings
 	@$(PY) -m process.warmup
 	@touch $@
 
-# what the tests need beside Python: a browser, a terminal multiplexer, the AVR compiler and its emulator
+# what the tests need beside Python: a browser, libraries of Open3D (EGL, USB), PyMeshLab (OpenGL) and GenICam (Python),
+# systemd, a terminal multiplexer, the AVR compiler and its emulator; tests/needs.py has a check for each
 system-packages:
 	@missing=""; for p in $(APT); do dpkg -s $$p >/dev/null 2>&1 || missing="$$missing $$p"; done; \
 	if [ -n "$$missing" ]; then \

@@ -15,6 +15,7 @@ import psutil
 import pytest
 import pytest_timeout
 
+from tests.needs import chromium_path, need
 from tests.waiting import Stopwatch
 
 GRACE_S = 5.0
@@ -130,15 +131,6 @@ def clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")
 
 
-def need(what: str, present: bool) -> None:
-    """Skip where something is missing, with the reason; in CI its absence is a failure."""
-    if present:
-        return
-    if os.environ.get("CI"):
-        pytest.fail(f"{what} is missing, and CI must have it")
-    pytest.skip(f"{what} is missing")
-
-
 @pytest.fixture(scope="session")
 def real_scan() -> Path:
     """The public scan of a frog, where it lies: $SWEEPSCOPE_TEST_DATA, or shared/data beside the repository."""
@@ -152,14 +144,12 @@ def real_scan() -> Path:
 @pytest.fixture(scope="session")
 def tmux() -> str:
     """The path of tmux."""
-    found = shutil.which("tmux")
-    need("tmux", found is not None)
-    return str(found)
+    need("tmux")
+    return str(shutil.which("tmux"))
 
 
 @pytest.fixture(scope="session")
 def chromium() -> str:
     """The path of a Chromium browser."""
-    found = shutil.which("chromium") or shutil.which("chromium-browser")
-    need("chromium", found is not None)
-    return str(found)
+    need("chromium", "fonts-dejavu-core")
+    return str(chromium_path())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
+
 from acquire.cameras.protocol import HostFiredCamera
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
@@ -31,9 +34,7 @@ def build_rig(config: RigConfig) -> Rig:
         raise ConfigError(
             f"a {stage.kind} stage has no TRIGGER wire: set camera.trigger = '{HOST_TRIGGER}', or use the Uno"
         )
-    from acquire.cameras.genicam import GenicamCamera  # noqa: PLC0415 - it loads the camera makers' libraries
-
-    return Rig(_stage(config), GenicamCamera(camera))
+    return Rig(_stage(config), _genicam().GenicamCamera(camera))
 
 
 def _stage(config: RigConfig) -> Stage:
@@ -61,6 +62,17 @@ def _host_fired(config: RigConfig) -> HostFiredCamera:
         from acquire.cameras.uvc import UvcSource  # noqa: PLC0415
 
         return FreeRunningCamera(UvcSource(config.camera))
-    from acquire.cameras.genicam import GenicamDevice  # noqa: PLC0415
+    return FreeRunningCamera(_genicam().GenicamDevice(config.camera))
 
-    return FreeRunningCamera(GenicamDevice(config.camera))
+
+def _genicam() -> ModuleType:
+    """The driver of GenICam cameras; ConfigError where GenICam's library cannot be loaded."""
+    try:
+        from acquire.cameras import genicam  # noqa: PLC0415 - it loads the camera makers' libraries
+    except ImportError as error:
+        python = f"{sys.version_info[0]}.{sys.version_info[1]}"
+        raise ConfigError(
+            f"camera.kind = 'genicam' needs GenICam's library, which exists for x86-64 and on Debian needs the package "
+            f"libpython{python}: {error}"
+        ) from error
+    return genicam

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
-from tests.conftest import need
+from tests.needs import need
 
 _SOURCE = r"""
 #define _GNU_SOURCE
@@ -28,10 +27,9 @@ int clock_gettime(clockid_t clock, struct timespec *now)
 
 def wall_clock_library(folder: Path) -> Path:
     """Build the library for LD_PRELOAD in ``folder``."""
-    compiler = shutil.which("cc")
-    need("a C compiler", compiler is not None)
+    need("gcc", "libc6-dev")
     source, library = folder / "clock.c", folder / "clock.so"
     folder.mkdir(parents=True, exist_ok=True)
     source.write_text(_SOURCE)
-    subprocess.run([str(compiler), "-shared", "-fPIC", "-O1", "-o", str(library), str(source)], check=True)
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", str(library), str(source)], check=True)
     return library

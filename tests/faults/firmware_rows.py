@@ -18,8 +18,7 @@ import pytest
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.scan_data.dataset_names import PINS_NAME
 from acquire.contract.scan_data.reader import ScanReader
-from acquire.stages.uno.emulator import missing_tools
-from tests.conftest import need
+from tests.needs import EMULATOR, need
 from tests.waiting import WALL_CLOCK_S
 from tui.client.rig_client import RigClient
 
@@ -77,7 +76,7 @@ class Bench:
 
 def set_up(rig: Rig) -> None:
     """Services that are started from now on run over the emulated controller."""
-    need("the AVR tools", not missing_tools())
+    need(*EMULATOR)
     places = rig.data_dir.parent / "tmp"
     places.mkdir(parents=True, exist_ok=True)
     rig.environ["TMPDIR"] = str(places)

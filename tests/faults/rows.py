@@ -22,6 +22,7 @@ from acquire.contract.scan_data.reader import ScanReader
 from process.results.reconstruct import reconstruct
 from process.results.settings import ReconstructOptions
 from tests.fakes.bombs import hit
+from tests.needs import missing_here
 from tui.client.rig_client import RigClient
 
 from .clock import wall_clock_library
@@ -167,7 +168,7 @@ def disk_full(rig: Rig) -> None:
 def _small_disk_full(rig: Rig) -> None:
     """On a real disk of 40 MB: refused before it moves; what is reserved is there though the disk fills up."""
     if why := why_not():
-        pytest.skip(f"no disk of 40 MB can be mounted for this process alone: {why}")
+        missing_here(f"no disk of 40 MB can be mounted for this process alone: {why}")
     with small_disk(rig) as disk:
         rig.start("daemon", "writer")
         with rig.client() as client:

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.config.model import StageConfig
-from acquire.stages.uno.emulator import Emulator, PinState, TriggerEdge, build_firmware, missing_tools
+from acquire.stages.uno.emulator import Emulator, PinState, TriggerEdge, build_firmware
 from acquire.stages.uno.link import LinkTiming
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEvent, Triggered
 from acquire.stages.uno.stage import UnoStage
 from acquire.stages.uno.config import switch_position_steps
-from tests.conftest import need
+from tests.needs import EMULATOR, need
 from tests.waiting import DEADLINE_S, wait_for
 
 WAIT_S = DEADLINE_S
@@ -26,8 +26,7 @@ LIMIT_AT = -300
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """ELF and bench program, built once."""
-    missing = missing_tools()
-    need(f"the emulator ({', '.join(missing)})", not missing)
+    need(*EMULATOR)
     return build_firmware(tmp_path_factory.mktemp("firmware"))
 
 

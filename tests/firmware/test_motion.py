@@ -9,6 +9,7 @@ from acquire.stages.uno.emulator import FIRMWARE_DIR
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, Stopped
 from acquire.stages.uno.config import switch_position_steps
 from tests.firmware.conftest import LIMIT_AT
+from tests.needs import need
 from tests.waiting import run
 
 
@@ -18,6 +19,7 @@ def make(build_dir, target):
 
 
 def test_the_pure_parts_hold_when_compiled_for_this_machine(tmp_path):
+    need("gcc", "libc6-dev")
     done = make(tmp_path, "test")
     assert done.returncode == 0, done.stdout + done.stderr
 

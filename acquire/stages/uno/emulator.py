@@ -20,8 +20,13 @@ from typing import Self
 from acquire.contract.errors import SweepscopeError
 
 FIRMWARE_DIR = Path(__file__).parents[3] / "firmware"
-_TOOLS = ("avr-gcc", "avr-objcopy", "make")
-_SIMAVR_HEADER = Path("/usr/include/simavr/sim_avr.h")
+_TOOLS = {"make": "make", "gcc": "cc", "gcc-avr": "avr-gcc", "binutils-avr": "avr-objcopy"}
+_HEADERS = {
+    "avr-libc": Path("/usr/lib/avr/include/avr/io.h"),
+    "libsimavr-dev": Path("/usr/include/simavr/sim_avr.h"),
+    "libelf-dev": Path("/usr/include/libelf.h"),
+}
+"""What the build uses, by the Debian package that brings it."""
 _ANSWER_S = 5.0
 _BUILD_S = 300.0
 
@@ -63,9 +68,9 @@ class TriggerEdge:
 
 
 def missing_tools() -> list[str]:
-    """What the emulator needs and this machine lacks."""
-    missing = [tool for tool in _TOOLS if shutil.which(tool) is None]
-    return missing if _SIMAVR_HEADER.exists() else [*missing, "libsimavr-dev"]
+    """Debian packages that the emulator needs and this machine lacks."""
+    tools = [package for package, tool in _TOOLS.items() if shutil.which(tool) is None]
+    return tools + [package for package, header in _HEADERS.items() if not header.exists()]
 
 
 def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path, Path]:
@@ -76,9 +81,7 @@ def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path
     """
     missing = missing_tools()
     if missing:
-        raise EmulatorError(
-            f"the emulated stage needs {', '.join(missing)}: apt-get install gcc-avr avr-libc libsimavr-dev libelf-dev"
-        )
+        raise EmulatorError(f"the emulated stage cannot be built: apt-get install {' '.join(missing)}")
     folder = (build_dir or FIRMWARE_DIR / "build").resolve()
     folder.mkdir(parents=True, exist_ok=True)
     command = ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={folder}", "all", "sim", *arguments]

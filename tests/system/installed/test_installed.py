@@ -7,14 +7,13 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.conftest import need
 from tests.fakes.processes.ports import free_port
 from tests.fakes.processes.throwaway_root import PACKAGES_INSIDE, SOURCE_INSIDE, RootUnavailableError, ThrowawayRoot
+from tests.needs import missing_here, need
 
 pytestmark = [pytest.mark.shares_processes, pytest.mark.slow, pytest.mark.timeout(400)]
 SERVICES = ("daemon", "writer", "worker", "viewer")
@@ -45,16 +44,16 @@ LONG = ("--steps-per-frame", "1", "--last-steps", "4400")
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThrowawayRoot]:
     """The appliance, installed from this clone, with an operator in the rig's group and a stranger."""
-    need("systemd", Path("/lib/systemd/systemd").exists())
+    need("systemd")
     if os.geteuid() != 0 or shutil.which("unshare") is None:
-        pytest.skip("a root of its own can be made by root only")
+        missing_here("a root of its own can be made by root only, with unshare")
     folder = tmp_path_factory.mktemp("root")
     try:
         with ThrowawayRoot(folder) as made:
             prepare(made)
             yield made
     except RootUnavailableError as error:
-        pytest.skip(f"this machine allows no root of its own: {error}")
+        missing_here(f"this machine allows no root of its own: {error}")
 
 
 def prepare(root: ThrowawayRoot) -> None:

@@ -1,3 +1,4 @@
+# ruff: noqa: E402 - the driver cannot be imported where the library is missing
 """A GenICam camera with a TRIGGER wire, stood in for by a fake: its driver, and whole sweeps through it."""
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-pytest.importorskip("genicam", reason="GenICam's library has no wheel for this processor")
+from tests.needs import need_genicam
+
+need_genicam(module=True)
 
 from acquire.cameras import genicam
 from acquire.cameras.free_running import FreeRunningCamera

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import time
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from acquire.contract.messaging.messages import FrameFormat
 from acquire.rigs.base import HostFiredRig
 from acquire.rigs.build import build_rig
 from acquire.stages.protocol import Segment, SegmentDone
+from tests.needs import need_genicam
 from tests.waiting import WALL_CLOCK_S, next_of, wait_for
 
 SETTINGS = CameraSettings(10.0, 0.0, 0.0)
@@ -273,15 +275,21 @@ def test_a_clock_that_counts_otherwise_than_it_says_is_never_believed(ns_per_cou
 
 # ---- GenICam, with the simulated cameras of a real producer ----
 
-genicam = pytest.importorskip("genicam", reason="GenICam's library has no wheel for this processor")
-PRODUCER = next(Path(genicam.__file__).parent.glob("*.cti"))
-RED = CameraConfig(kind="genicam", device="0", producer=str(PRODUCER), width=400, height=400, trigger="host")
+
+@pytest.fixture
+def red() -> CameraConfig:
+    """The first simulated camera of the library's own producer."""
+    need_genicam()
+    import genicam
+
+    producer = next(Path(genicam.__file__).parent.glob("*.cti"))
+    return CameraConfig(kind="genicam", device="0", producer=str(producer), width=400, height=400, trigger="host")
 
 
-def test_a_genicam_camera_delivers_whole_pictures_with_ids_that_count():
+def test_a_genicam_camera_delivers_whole_pictures_with_ids_that_count(red):
     from acquire.cameras.genicam import GenicamDevice
 
-    device = GenicamDevice(RED)
+    device = GenicamDevice(red)
     assert device.open() == FrameFormat(400, 400, 8, "rgb")
     try:
         frames = [device.fetch(5.0) for _ in range(3)]
@@ -292,8 +300,8 @@ def test_a_genicam_camera_delivers_whole_pictures_with_ids_that_count():
     assert all(frame.pixels.shape == (400, 400, 3) and frame.pixels.any() for frame in frames)
 
 
-def test_a_genicam_camera_that_runs_freely_serves_shots():
-    rig = build_rig(RigConfig(camera=RED))
+def test_a_genicam_camera_that_runs_freely_serves_shots(red):
+    rig = build_rig(RigConfig(camera=red))
     frames = queue.Queue()
     assert rig.camera.open(frames.put).kind == "genicam"
     rig.camera.arm()
@@ -312,20 +320,30 @@ def test_a_genicam_camera_that_runs_freely_serves_shots():
         ({"trigger": "Line1"}, "no trigger input Line1"),
     ],
 )
-def test_a_genicam_camera_that_cannot_serve_is_refused_with_the_mend(change, words):
+def test_a_genicam_camera_that_cannot_serve_is_refused_with_the_mend(red, change, words):
     from acquire.cameras.genicam import GenicamDevice
 
-    config = replace(RED, **change)
+    config = replace(red, **change)
     with pytest.raises(ConfigError, match=words):
         GenicamDevice(config).open("" if config.trigger == "host" else config.trigger)
 
 
-def test_without_a_producer_the_refusal_says_where_to_get_one(monkeypatch):
+def test_without_a_producer_the_refusal_says_where_to_get_one(red, monkeypatch):
     from acquire.cameras.genicam import GenicamDevice
 
     monkeypatch.delenv("GENICAM_GENTL64_PATH", raising=False)
     with pytest.raises(ConfigError, match="install the camera maker's"):
-        GenicamDevice(replace(RED, producer="")).open()
+        GenicamDevice(replace(red, producer="")).open()
+
+
+@pytest.mark.parametrize("trigger", ["host", "Line1"])
+def test_where_genicams_library_cannot_be_loaded_the_refusal_names_the_package(monkeypatch, trigger):
+    monkeypatch.delitem(sys.modules, "acquire.cameras.genicam", raising=False)
+    monkeypatch.delattr("acquire.cameras.genicam", raising=False)
+    monkeypatch.setitem(sys.modules, "genicam.genapi", None)
+    config = RigConfig(stage=StageConfig(kind="uno"), camera=CameraConfig(kind="genicam", trigger=trigger))
+    with pytest.raises(ConfigError, match=r"package libpython3\.\d+: .*genicam"):
+        build_rig(config)
 
 
 # ---- devices that cannot work together ----

@@ -12,6 +12,7 @@ from acquire.contract.calibration import CameraModel, TranslatingPlane
 from process.atomic_write import ResultWriteError, replacing
 from process.cloud.cloud import VERTEX, Cloud, make_cloud, write_ply
 from process.cloud.triangulation import plane_table, rays
+from tests.needs import OPEN3D, need
 
 CAMERA = CameraModel(
     width=4,
@@ -98,7 +99,8 @@ def test_the_file_holds_every_field_in_the_documented_order(tmp_path):
 
 
 def test_trimesh_opens_the_file_with_the_same_points_and_colours(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
+    import trimesh
+
     cloud = random_cloud(321)
     write_ply(tmp_path / "cloud.ply", cloud)
     found = trimesh.load(tmp_path / "cloud.ply")
@@ -107,7 +109,9 @@ def test_trimesh_opens_the_file_with_the_same_points_and_colours(tmp_path):
 
 
 def test_open3d_opens_the_file_with_points_colours_sigma_and_crossing(tmp_path):
-    o3d = pytest.importorskip("open3d")
+    need(*OPEN3D)
+    import open3d as o3d
+
     cloud = random_cloud(321)
     write_ply(tmp_path / "cloud.ply", cloud)
     found = o3d.t.io.read_point_cloud(str(tmp_path / "cloud.ply"))
@@ -119,7 +123,9 @@ def test_open3d_opens_the_file_with_points_colours_sigma_and_crossing(tmp_path):
 
 
 def test_pymeshlab_opens_the_file_with_the_same_points_and_colours(tmp_path):
-    pymeshlab = pytest.importorskip("pymeshlab")
+    need("libopengl0")
+    import pymeshlab
+
     cloud = random_cloud(321)
     write_ply(tmp_path / "cloud.ply", cloud)
     meshes = pymeshlab.MeshSet()
