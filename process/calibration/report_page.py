@@ -1,10 +1,7 @@
-"""Owns the report of a calibration: one HTML page with its pictures in it, readable without a network."""
+"""The report of a calibration: one HTML page with its pictures in it, readable without a network."""
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +16,7 @@ from process.calibration.light_plane.compare import Difference
 from process.calibration.light_plane.from_sweeps import PlaneResult
 from process.calibration.light_plane.plane_residuals import LIMIT_UM
 from process.calibration.quarter_circle.calibrate import QuarterCircle
+from process.html_templates import png_url, render
 
 MAGNIFIED = 10.0
 TRACK_LIMIT_UM = 2.0
@@ -27,7 +25,8 @@ FEWEST_IN_CELL = 3
 CELL_PX = 12
 """Side of the cells that a residual map shows: a board's clear pixels are islands, too small to see alone."""
 F8 = NDArray[np.float64]
-_STYLE = "body{font:15px/1.5 sans-serif;max-width:70em;margin:2em auto}img{max-width:100%}.bad{color:#b00020}"
+_TEMPLATE = Path(__file__).with_name("report_page.html")
+_DPI = 110
 
 
 def camera_page(result: CameraResult, words: Sequence[str]) -> str:
@@ -75,19 +74,8 @@ def write_page(path: Path, page: str) -> None:
 
 
 def _page(title: str, verdict: str, words: Sequence[str], figures: Sequence[Figure], *, good: bool) -> str:
-    lines = "".join(f"<li>{html.escape(line)}</li>" for line in words)
-    images = "".join(f'<p><img alt="" src="data:image/png;base64,{_png(figure)}"></p>' for figure in figures)
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
-        f'<h1>{title}</h1><p class="{"good" if good else "bad"}"><b>{html.escape(verdict)}</b></p>'
-        f"<ul>{lines}</ul>{images}</html>\n"
-    )
-
-
-def _png(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-    return base64.b64encode(buffer.getvalue()).decode("ascii")
+    pictures = [png_url(figure, _DPI) for figure in figures]
+    return render(_TEMPLATE, title=title, verdict=verdict, lines=words, pictures=pictures, good=good)
 
 
 def _coverage(result: CameraResult) -> Figure:

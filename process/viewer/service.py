@@ -149,8 +149,8 @@ class Viewer:
             self._measuring.turn(self._scans.pickable, self._scene.eye_mm)
         self._scene.delivery.turn(now_ns)
         opened = self._scans.opened if self._scans is not None else None
-        picture = self._scene.picture
-        self._panel.show(snapshot, now_ns, replace(picture, opened=opened.entry.label) if opened else picture)
+        facts = self._scene.facts
+        self._panel.show(snapshot, now_ns, replace(facts, opened=opened.entry.label) if opened else facts)
         if self._controls is not None:
             self._controls.show(snapshot, now_ns)
 

@@ -67,13 +67,13 @@ def page(scan: Path, results: Path | None, out: Path | None) -> None:
     """Show a scan and its results on one HTML page.
 
     It opens in any browser, without a network."""
-    from process.results.page.html import verdict, write_page
+    from process.results.page.html import assess, write_page
     from process.results.page.load import read_results
 
     found = read_results(scan, results)
     target = out or (results or found.layout.path.parent) / "report.html"
     write_page(target, found)
-    click.echo(f"{verdict(found).headline}\n{target}")
+    click.echo(f"{assess(found).headline}\n{target}")
 
 
 def _show_json(summary: Summary) -> None:

@@ -1,10 +1,7 @@
-"""Owns the page of a scan: verdict in words, pictures, counts, and where it all came from, in one HTML file."""
+"""The page of a scan: verdict in words, pictures, counts, and where it all came from, in one HTML file."""
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,23 +12,16 @@ from matplotlib.figure import Figure
 
 from acquire.contract.states import outcome_words
 from process.atomic_write import replacing
+from process.html_templates import png_url, render
 
 from .figures import contrast_picture, crossing_picture, histogram_picture, section_picture, two_digits
 from .load import ScanResults
 
-_STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;max-width:64em;margin:2em auto;padding:0 1em;color:#222}
-h1{font-size:1.5em;margin:0 0 .2em}h2{font-size:1.1em;margin:2em 0 .4em;border-bottom:1px solid #ddd}
-.verdict{padding:.7em 1em;border-left:6px solid;margin:1em 0;background:#f7f7f7}
-.good{border-color:#2e7d32}.fair{border-color:#e08e0b}.bad{border-color:#b00020}
-figure{margin:1.2em 0}img{max-width:100%;display:block}figcaption{color:#666;font-size:.9em}
-table{border-collapse:collapse}td,th{padding:.15em 1.2em .15em 0;text-align:left;vertical-align:top;font-weight:normal}
-th{color:#666}td.n{text-align:right;font-variant-numeric:tabular-nums}code{font-size:.85em;overflow-wrap:anywhere}
-.side{display:grid;grid-template-columns:repeat(auto-fit,minmax(20em,1fr));gap:0 2em}
-"""
+_TEMPLATE = Path(__file__).with_name("scan_page.html")
+_DPI = 130
 
 
-class Verdict(NamedTuple):
+class ScanAssessment(NamedTuple):
     """What a person should think of a scan."""
 
     kind: str
@@ -40,36 +30,35 @@ class Verdict(NamedTuple):
     remarks: list[str]
 
 
-def verdict(results: ScanResults) -> Verdict:
+def assess(results: ScanResults) -> ScanAssessment:
     """Bad without points or frames, fair with anything to remark, else good."""
     report = results.report
     counts = report.counts
     saved = outcome_words(report.outcome, counts["committed"], counts["frames"])
     if not counts["points"]:
-        return Verdict("bad", f"No points. {saved}.", report.warnings)
+        return ScanAssessment("bad", f"No points. {saved}.", report.warnings)
     sigma = results.cloud["sigma_um"] if results.cloud is not None else np.zeros(0)
     known = f", each known to {two_digits(np.median(sigma))} um (median standard deviation)" if sigma.size else ""
     headline = f"{grouped(counts['points'])} points{known}. {saved}."
     incomplete = report.outcome != "complete" or counts["missing"] > 0
     kind = "bad" if incomplete else "fair" if report.warnings else "good"
-    return Verdict(kind, headline, report.warnings)
+    return ScanAssessment(kind, headline, report.warnings)
 
 
 def page(results: ScanResults) -> str:
     """The whole page; pictures are in it as PNG."""
-    name = str(results.layout.user.get("name") or results.layout.path.parent.name)
-    said = verdict(results)
-    remarks = "".join(f"<li>{html.escape(line)}</li>" for line in said.remarks) or "<li>Nothing to remark.</li>"
-    pictures = (crossing_picture, contrast_picture, section_picture, histogram_picture)
-    images = "".join(_image(figure) for make in pictures if (figure := make(results)) is not None)
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(name)}</title>'
-        f"<style>{_STYLE}</style></head><body><h1>{html.escape(name)}</h1>"
-        f"<div>{html.escape(results.layout.start_time)}</div>"
-        f'<div class="verdict {said.kind}"><b>{html.escape(said.headline)}</b><ul>{remarks}</ul></div>'
-        f'{images}<div class="side"><div><h2>Counts</h2>{_table(_counts(results), number=True)}</div>'
-        f"<div><h2>Measured</h2>{_table(_measured(results))}<h2>Settings</h2>{_table(_settings(results))}</div></div>"
-        f"<h2>Provenance</h2>{_table(_provenance(results))}</body></html>\n"
+    makers = (crossing_picture, contrast_picture, section_picture, histogram_picture)
+    figures = [figure for make in makers if (figure := make(results)) is not None]
+    return render(
+        _TEMPLATE,
+        name=str(results.layout.user.get("name") or results.layout.path.parent.name),
+        start_time=results.layout.start_time,
+        verdict=assess(results),
+        pictures=[(_title(figure), png_url(figure, _DPI)) for figure in figures],
+        counts=_counts(results),
+        measured=_measured(results),
+        settings=_settings(results),
+        provenance=_provenance(results),
     )
 
 
@@ -142,20 +131,5 @@ def _provenance(results: ScanResults) -> Iterable[tuple[str, str]]:
     yield "versions", ", ".join(f"{name} {number}" for name, number in report.versions.items())
 
 
-def _table(rows: Iterable[tuple[str, str]], *, number: bool = False) -> str:
-    kind = ' class="n"' if number else ""
-    cells = "".join(f"<tr><th>{html.escape(name)}</th><td{kind}>{_value(value)}</td></tr>" for name, value in rows)
-    return f"<table>{cells}</table>"
-
-
-def _value(text: str) -> str:
-    long = len(text) >= 32 and " " not in text
-    return f"<code>{html.escape(text)}</code>" if long else html.escape(text)
-
-
-def _image(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    title = html.escape("; ".join(axes.get_title() for axes in figure.axes if axes.get_title()))
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f'<figure><img alt="{title}" src="data:image/png;base64,{data}"></figure>'
+def _title(figure: Figure) -> str:
+    return "; ".join(axes.get_title() for axes in figure.axes if axes.get_title())

@@ -9,7 +9,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from viser import _messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._infra import WebsockMessageHandler
 
-from process.viewer.markup import STYLE, legend_html
+from process.viewer.markup import STYLE, html_of, legend_html
 from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, power_of_two
 from process.viewer.scene.camera_views import DEFAULT_BOUNDS, FOV_RAD, overview
 from process.viewer.stream.colouring import FittedPlane, Legend, Look, Range, colours_of
@@ -117,15 +116,9 @@ def page_html(view: View) -> str:
     if tile.count:
         record._insert_message(_points_message(tile, view.colours(tile), view.look))
     html = record.as_html(dark_mode=True)
-    box = f"{STYLE}{_PAGE_STYLE}<div class=card>{_card(view, tile.count)}</div>"
+    box = f'{STYLE}<div class="sw-card">{card_html(view, tile.count)}</div>'
     head, body, rest = html.partition("<body>")
     return f"{head}{body}{box}{rest}" if body else f"{html}{box}"
-
-
-_PAGE_STYLE = (
-    "<style>.card{position:fixed;right:12px;top:12px;width:290px;max-height:94vh;overflow:auto;z-index:1000;"
-    "background:#1b1f27ee;border-radius:6px;padding:6px 0}</style>"
-)
 
 
 def _camera_messages(bounds: Bounds, origin_mm: tuple[float, float, float]) -> list[_messages.Message]:
@@ -162,10 +155,7 @@ def _points_message(tile: Tile, colours: NDArray[np.uint8], look: Look) -> _mess
     return _messages.PointCloudMessage(name="/cloud", props=props)
 
 
-def _card(view: View, shown: int) -> str:
+def card_html(view: View, shown: int) -> str:
+    """Title and facts of an offline page, then its legend; ``shown`` is the number of points in it."""
     facts = [*view.facts, ("Points shown", f"{shown:,}")]
-    rows = "".join(f'<tr><td>{escape(name)}</td><td class="num">{escape(value)}</td></tr>' for name, value in facts)
-    return (
-        f'<div class="sw"><div class="sw-state">{escape(view.title)}</div><table>{rows}</table></div>'
-        f"{legend_html(view.legend)}"
-    )
+    return html_of("card.html", title=view.title, facts=facts) + legend_html(view.legend)

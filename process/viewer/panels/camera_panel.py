@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
 from acquire.contract.units import NS_PER_S
+from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.scene.scene import RigShown
 
@@ -16,6 +15,7 @@ from .widgets import write
 
 OLD_NS = 2 * NS_PER_S
 """A picture older than this is called old."""
+NO_PICTURE = "no picture yet: start a preview or a sweep"
 CLIPPED_SHARE = 0.001
 """More of the picture at full scale than this is said."""
 
@@ -25,7 +25,7 @@ class CameraPanel:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._gui = server.gui
-        self._words = server.gui.add_html(_words("no picture yet: start a preview or a sweep"))
+        self._words = server.gui.add_html(small_html(NO_PICTURE))
         self._place = server.gui.add_folder("Camera", visible=False)
         self._image: viser.GuiImageHandle | None = None
         with server.gui.add_folder("Drawn in the scene"):
@@ -48,14 +48,14 @@ class CameraPanel:
                 write(self._place, visible=True)
             else:
                 self._image.image = rgb
-        write(self._words, content=_words(picture_words(snapshot, now_ns)))
+        write(self._words, content=small_html(picture_words(snapshot, now_ns)))
 
 
 def picture_words(snapshot: Snapshot, now_ns: int) -> str:
     """Of when and where the picture is, and whether it is clipped."""
     picture = snapshot.picture
     if picture is None:
-        return "no picture yet: start a preview or a sweep"
+        return NO_PICTURE
     age_s = (now_ns - snapshot.picture_ns) // NS_PER_S
     what = f"frame {picture.frame_index:,}" if picture.frame_index >= 0 else "preview"
     parts = [f"{what} at {picture.position_um:,.1f} µm", f"{picture.exposure_ms:g} ms"]
@@ -64,7 +64,3 @@ def picture_words(snapshot: Snapshot, now_ns: int) -> str:
     old = now_ns - snapshot.picture_ns > OLD_NS
     parts.append(f"{age_s} s old" if old else "live")
     return ", ".join(parts)
-
-
-def _words(text: str) -> str:
-    return f'<div class="sw"><div class="sw-beat">{escape(text)}</div></div>'

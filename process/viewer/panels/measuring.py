@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import queue
 from collections.abc import Callable, Mapping
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import viser
 from numpy.typing import NDArray
 from viser import uplot
 
+from process.viewer.markup import html_of
 from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.point_nodes import Cloud
 
@@ -161,15 +161,16 @@ class Measuring:
         write(self._which, value=chosen)
 
     def _say_list(self, picked: Picked | None = None) -> None:
-        rows = [f"<tr><td>{name}</td><td>{distance.straight}</td></tr>" for name, distance in self._distances.items()]
-        last = self._distances.get(str(self._which.value))
-        parts = [_point_html(picked) if picked is not None else "", _distance_html(last) if last is not None else ""]
-        parts.append(f"<table>{''.join(rows)}</table>" if rows else "")
-        if rows:
-            parts.append('<div class="sw-beat">± is the noise of the two points alone.</div>')
         hint = "Click the second point." if self._first is not None else "Click the first point."
-        hint = hint if self._on.value else "Switch on “Pick points”, then click two points of the cloud."
-        write(self._text, content=f'<div class="sw">{"".join(parts)}<div class="sw-beat">{escape(hint)}</div></div>')
+        html = html_of(
+            "measurements.html",
+            picked=picked,
+            quality=quality_words(picked.quality) if picked is not None else "",
+            chosen=self._distances.get(str(self._which.value)),
+            distances=self._distances,
+            hint=hint if self._on.value else "Switch on “Pick points”, then click two points of the cloud.",
+        )
+        write(self._text, content=html)
 
     def _draw(self) -> None:
         for mark in self._marks:
@@ -234,17 +235,3 @@ class Measuring:
 
 def _axis(unit: str) -> uplot.Axis:
     return uplot.Axis(label=unit, stroke="#9aa4b2", grid={"stroke": "#2a303b"}, size=36, labelSize=14)
-
-
-def _point_html(picked: Picked) -> str:
-    x, y, z = picked.xyz_mm
-    note = ", provisional" if picked.provisional else ""
-    return (
-        f'<div class="num">x {x:.4f}&ensp;y {y:.4f}&ensp;z {z:.4f} mm<br>σ {picked.sigma_um:.2f} µm, '
-        f"frame {picked.crossing:.2f}{note}<br>quality: {escape(quality_words(picked.quality))}</div>"
-    )
-
-
-def _distance_html(distance: Distance) -> str:
-    rows = (("distance", distance.straight), ("horizontal", distance.horizontal), ("Δz", distance.height))
-    return f"<table>{''.join(f'<tr><td>{name}</td><td class=num>{length}</td></tr>' for name, length in rows)}</table>"

@@ -7,13 +7,12 @@ one first asks the lease whether this browser may; the daemon asks again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 from typing import Any
 
 import viser
 
 from acquire.contract.messaging.messages import Status
-from process.viewer.markup import note_html
+from process.viewer.markup import note_html, small_html
 from process.viewer.rig_client.commands import CommandThread
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.rig_client.lease import Lease
@@ -115,8 +114,7 @@ class RigPanel:
             self._commands.submit("control", {"action": action}, client=self._lease.name(event.client_id))
 
     async def _greet(self, client: viser.ClientHandle) -> None:
-        name = self._lease.name(client.client_id)
-        client.gui.add_html(f'<div class="sw"><div class="sw-beat">you are {name}</div></div>', order=-1e9)
+        client.gui.add_html(small_html(f"you are {self._lease.name(client.client_id)}"), order=-1e9)
 
     async def _farewell(self, client: viser.ClientHandle) -> None:
         """A browser that goes away gives control back; a jog that it held ends with its beats."""
@@ -144,5 +142,6 @@ class RigPanel:
 
 def _holder_html(status: Status | None) -> str:
     holder = status.control if status is not None else ""
-    words = f"<b>{escape(holder)}</b> holds control; all others look" if holder else "nobody holds control: all may act"
-    return f'<div class="sw"><div class="sw-beat">{words}</div></div>'
+    if holder:
+        return small_html(" holds control; all others look", strong=holder)
+    return small_html("nobody holds control: all may act")

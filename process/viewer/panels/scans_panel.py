@@ -9,7 +9,6 @@ import contextlib
 import queue
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from acquire.contract.units import NS_PER_S
 from process.viewer.exports.exports import View
 from process.viewer.exports.files import file_of, report_of, screenshot_of
 from process.viewer.exports.results_list import Entry, Opened, list_scans, open_scan, read_report
+from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.streams import Delivery
@@ -275,4 +275,4 @@ class ScansPanel:
         self._delivery.post(client.client_id, name, content)
 
     def _say(self, words: str) -> None:
-        write(self._text, content=f'<div class="sw"><div class="sw-beat">{escape(words)}</div></div>' if words else "")
+        write(self._text, content=small_html(words))

@@ -7,7 +7,7 @@ import time
 import viser
 
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import STYLE, Picture, beat_html, panel_html
+from process.viewer.markup import STYLE, SceneFacts, html_of, status_html
 from process.viewer.rig_client.feed import Snapshot
 
 from .widgets import write
@@ -29,9 +29,9 @@ class Panel:
         self._beat = server.gui.add_html("")
         self._text = server.gui.add_html("")
 
-    def show(self, snapshot: Snapshot, now_ns: int, picture: Picture) -> None:
+    def show(self, snapshot: Snapshot, now_ns: int, scene: SceneFacts) -> None:
         """Write what changed; the clock once a second."""
-        write(self._text, content=panel_html(snapshot, now_ns, picture))
+        write(self._text, content=status_html(snapshot, now_ns, scene))
         if now_ns - self._beat_ns >= BEAT_NS:
             self._beat_ns = now_ns
-            self._beat.content = beat_html(time.strftime("%H:%M:%S"), self._view_only)
+            self._beat.content = html_of("heartbeat.html", clock=time.strftime("%H:%M:%S"), view_only=self._view_only)

@@ -18,7 +18,7 @@ from acquire.contract.process.clocks import Clock
 from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import Picture
+from process.viewer.markup import SceneFacts
 from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Bounds
 from process.viewer.server.guarded_server import Page
@@ -155,13 +155,11 @@ class Scene:
             )
 
     @property
-    def picture(self) -> Picture:
-        """What the legend has to say."""
-        return Picture(
+    def facts(self) -> SceneFacts:
+        """What the page says about the drawing."""
+        return SceneFacts(
             keep_one_of=self.cloud.fine,
             floor_cell_mm=self._floor_of[0] if self._floor_of is not None else 0.0,
-            points=self.cloud.points,
-            legend=self.cloud.legend(),
             links=tuple(self.delivery.news()),
         )
 

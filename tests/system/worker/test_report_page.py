@@ -17,7 +17,7 @@ from acquire.contract.states import Outcome
 from acquire.writer.scan_file import create_scan
 from process.atomic_write import ResultWriteError
 from process.results.page.figures import two_digits
-from process.results.page.html import page, verdict, write_page
+from process.results.page.html import assess, page, write_page
 from process.results.page.load import ScanResults, read_results
 from process.results.reconstruct import reconstruct
 from process.results.settings import ReconstructOptions
@@ -90,7 +90,7 @@ def test_a_scan_without_a_cloud_has_a_page_that_says_why(tmp_path):
     scan = make_scan(tmp_path / "scan", calibration=False)
     reconstruct(scan, ReconstructOptions(contrast=30))
     found = read_results(scan)
-    said = verdict(found)
+    said = assess(found)
     assert said.kind == "bad" and "No points" in said.headline and "no calibration" in said.remarks[0]
     assert page(found).count("<figure>") == 3, "no cross-section"
 
@@ -98,10 +98,10 @@ def test_a_scan_without_a_cloud_has_a_page_that_says_why(tmp_path):
 def test_missing_frames_make_the_verdict_bad_and_remarks_make_it_fair(tmp_path, results):
     scan = make_scan(tmp_path / "scan", missing=(38, 39))
     reconstruct(scan, ReconstructOptions(contrast=30))
-    said = verdict(read_results(scan))
+    said = assess(read_results(scan))
     assert said.kind == "bad" and "38 of 40" in said.headline
     told = msgspec.structs.replace(results.report, warnings=["12 pixels are odd"])
-    fair = verdict(ScanResults(results.layout, told, results.maps, results.cloud, results.in_cloud))
+    fair = assess(ScanResults(results.layout, told, results.maps, results.cloud, results.in_cloud))
     assert fair.kind == "fair" and fair.remarks == ["12 pixels are odd"]
 
 

@@ -3,7 +3,7 @@ import pytest
 from acquire.contract.faults import report
 from acquire.contract.messaging.messages import ResultProgress, Status
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import Picture, panel_html
+from process.viewer.markup import SceneFacts, status_html
 from process.viewer.rig_client.feed import Peer, Snapshot
 from process.viewer.status_text import allowed, heading, remarks, saved_line, scan_name
 
@@ -30,14 +30,14 @@ def test_without_any_service_the_page_says_so_instead_of_being_blank() -> None:
     assert heading(nothing, NOW_NS).words == "not connected – retrying"
     assert "No rig daemon" in said(nothing)
     assert "No worker" in said(nothing)
-    assert "not connected" in panel_html(nothing, NOW_NS, Picture())
+    assert "not connected" in status_html(nothing, NOW_NS, SceneFacts())
 
 
 def test_a_daemon_that_went_away_leaves_its_numbers_marked_as_old() -> None:
     gone = rig(daemon=Peer(connected=False, heard_ns=NOW_NS - 12 * NS_PER_S, changed_ns=NOW_NS - 12 * NS_PER_S))
     assert not heading(gone, NOW_NS).live
     assert "away for 12 s" in said(gone)
-    assert "sw-old" in panel_html(gone, NOW_NS, Picture())
+    assert "sw-old" in status_html(gone, NOW_NS, SceneFacts())
 
 
 def test_a_daemon_that_is_there_but_silent_is_not_shown_as_live() -> None:
@@ -98,7 +98,7 @@ def test_a_scan_is_called_by_its_name_without_the_stamp() -> None:
 
 def test_a_fault_shows_its_code_and_what_is_safe_and_what_to_do() -> None:
     status = Status(state="fault", faults=[report("F03", committed=412, expected=527)])
-    html = panel_html(rig(status=status), NOW_NS, Picture())
+    html = status_html(rig(status=status), NOW_NS, SceneFacts())
     for text in ("F03", "the writer is lost", "412 of 527 frames are saved", "it is being restarted"):
         assert text in html
 
@@ -107,7 +107,7 @@ def test_words_from_outside_cannot_become_markup() -> None:
     evil = "<img src=x onerror=alert(1)>"
     status = Status(state=evil, scan_path=f"/d/{evil}", message=evil, hold_reason=evil)
     progress = ResultProgress(version=1, folded_through=0, expected=1, message=evil)
-    assert "<img" not in panel_html(rig(status=status, progress=progress), NOW_NS, Picture())
+    assert "<img" not in status_html(rig(status=status, progress=progress), NOW_NS, SceneFacts())
 
 
 def test_buttons_follow_the_state_and_stop_is_always_there() -> None:
