@@ -1,7 +1,8 @@
-"""Own how kernels are compiled: without the interpreter lock, and cached under the digest of all their sources.
+"""Compilation of the kernels with numba: without the interpreter lock, cached under the digest of all their sources.
 
-numba's cache notices a change of the file that a kernel stands in, but not of a file that it calls into;
-a stale mixture of the two would write past its arrays. Hence a cache folder per digest.
+numba's cache notices a change of the file that a kernel is defined in, but not of a file that it calls into. A stale
+mixture of the two would write past its arrays, hence one cache folder per digest. A kernel's file that is added or
+renamed goes into SOURCES; the Makefile's $(KERNELS) rule finds it by its folder.
 """
 
 from __future__ import annotations
@@ -49,4 +50,4 @@ kernel: Any = njit(cache=True, nogil=True)
 """Decorator of a kernel."""
 
 inlined_kernel: Any = njit(cache=True, nogil=True, inline="always")
-"""Decorator of a piece of kernels that is worth no call."""
+"""Decorator of a part of kernels that is too small for a call of its own."""

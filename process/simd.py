@@ -1,8 +1,9 @@
-"""Own the few vector operations of the fold: 64 pixels at a time, on whatever SIMD the processor has.
+"""Vector operations of the fold as numba intrinsics: 64 pixels at a time, with the processor's SIMD instructions.
 
-They are written as LLVM vectors, because a compiler's loop vectoriser gives up on them without a word;
-LLVM lowers them to AVX-512, AVX2, SSE or NEON, and the result is the same integers everywhere.
-All take flat C-contiguous uint8 or uint16 arrays and element offsets; nothing is bounds-checked.
+They are written as LLVM vectors, which LLVM lowers to AVX-512, AVX2, SSE or NEON; the result is the same integers
+everywhere. The same loops in plain numba take 1.6 to 4 times as long, because its loop vectoriser gives up on them or
+widens the levels (figures: docs/decisions/0001-dependencies.md). All take flat C-contiguous uint8 or uint16 arrays and
+element offsets; nothing is bounds-checked.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ BLOCK = 64
 """Pixels in one vector operation; one bit each in a uint64 mask."""
 
 GREY_BLOCK = 128
-"""Pixels turned grey in one go."""
+"""Pixels that grey_block converts at once."""
 
 GREY_WEIGHTS = (9798, 19235, 3735)
-"""Of red, green, blue, in 2^-15."""
+"""Weights of red, green and blue, in units of 2^-15: OpenCV's 0.299, 0.587, 0.114."""
 
 _operation: Any = intrinsic
-"""numba's own annotation counts the typing context among the arguments."""
+"""Untyped: numba's annotation counts the typing context among the arguments."""
 
 _FIRST = ir.Constant(ir.IntType(32), 0)
 _BIT = ir.IntType(1)
@@ -62,9 +63,8 @@ def _repeated(builder: Any, number: Any, vector: Any) -> Any:
 def fold_block(typing_context: Any, frame: Any, frame_at: Any, flip: Any, state: Any, state_at: Any, plane: Any) -> Any:
     """Fold 64 pixels into three planes that lie `plane` elements apart: maximum, tail dip, tail rise.
 
-    The values are frame[frame_at + i] ^ flip. Bit i of the uint64 result: the value is a new maximum.
-    The maximum itself is only read; of such a pixel the caller sets all three (until then the dip is
-    the one before the new maximum).
+    The values are frame[frame_at + i] ^ flip. Bit i of the uint64 result: the value is a new maximum. The maximum
+    itself is only read; for a new maximum the caller sets all three planes, after it has read the dip up to there.
     """
     _require_levels(frame, state)
 
@@ -106,8 +106,8 @@ def higher_than(typing_context: Any, frame: Any, frame_at: Any, bound: Any, boun
 def grey_block(typing_context: Any, rgb: Any, rgb_at: Any, grey: Any, grey_at: Any) -> Any:
     """Grey of GREY_BLOCK pixels of 8 bit: (9798 r + 19235 g + 3735 b + 16384) >> 15, as OpenCV's RGB to grey.
 
-    In 16 bits, with the weights cut into 128 x high + low: no sum of the high or of the low parts overflows, and what
-    the low ones carry is all that the high ones need of them.
+    In 16 bits, so that a register holds twice as many pixels as in 32: each weight is split into 128 x high + low.
+    Neither sum overflows, and of the low sum only its carry (its value >> 7) matters to the result.
     """
     _require_levels(rgb, grey)
 
@@ -122,7 +122,7 @@ def grey_block(typing_context: Any, rgb: Any, rgb_at: Any, grey: Any, grey_at: A
         def all_of(number: int) -> Any:
             return ir.Constant(wide, [number] * GREY_BLOCK)
 
-        high, low = all_of(1 << 7), all_of(0)
+        high, low = all_of(1 << 7), all_of(0)  # the rounding's 16384, in units of the high part
         for channel, weight in enumerate(GREY_WEIGHTS):
             places = [3 * pixel + channel for pixel in range(GREY_BLOCK)]
             chosen = ir.Constant(ir.VectorType(ir.IntType(32), GREY_BLOCK), places)
@@ -161,7 +161,7 @@ def count_bits(typing_context: Any, mask: Any) -> Any:
 
 @_operation
 def prefetch(typing_context: Any, array: Any, offset: Any) -> Any:
-    """Ask for the cache line of array[offset]; a hint without any effect on values."""
+    """Load the cache line of array[offset] ahead of its use; no effect on values."""
     if not (isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"):
         raise TypingError("needs a flat contiguous array")
 

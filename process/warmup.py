@@ -1,4 +1,4 @@
-"""Owns compiling the kernels before the first frame: a sweep must not wait for a compiler."""
+"""Compiles the kernels, or loads them from the cache, before the first frame: a sweep must not wait for a compiler."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.messaging.messages import FrameFormat
 from process.cloud.cloud import make_cloud, write_ply
 from process.cloud.triangulation import coordinates, plane_table, rays
-from process.crossings.maps import Maps
+from process.crossings.maps import Maps, empty_samples
+from process.crossings.two_sample_kernels import sample_columns
 from process.edge_fit.early_estimates import Found, examine_pixels, follow_pixels
 from process.edge_fit.filters import filtered
 from process.edge_fit.noise_model import assumed_noise
@@ -32,7 +33,7 @@ _RECORDED = Recorded(FrameFormat(width=SIZE_PX, height=SIZE_PX, bit_depth=16))
 
 
 def warm_up() -> None:
-    """Fold a few tiny frames of each kind, turn them into points, and write these into a folder of their own."""
+    """Fold a few tiny frames of each kind, make points of them, and write these to a temporary folder."""
     camera = CameraModel(
         width=SIZE_PX,
         height=SIZE_PX,
@@ -58,8 +59,9 @@ def warm_up() -> None:
 
 
 def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:
-    """The second look at a scan of this depth."""
+    """Estimate the whole edges of a scan of this depth, and read pixels that the log does not know."""
     levels = np.stack([_frame(k, bit_depth, 1) for k in range(FRAMES)])
+    sample_columns(np.ascontiguousarray(levels[:, 0, :1]), empty_samples(1))
     sequence = Sequence(columns_of_stack(levels), fold.present, "rising", bit_depth)
     filtered(refine(maps, "auto", sequence, 1.0).maps)
     pixel, start, extent = np.zeros(1, np.int64), np.ones(1, np.int64), np.ones(1)
@@ -71,7 +73,7 @@ def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:
 
 
 def _frame(frame_index: int, bit_depth: int, channels: int) -> NDArray[np.generic]:
-    """A frame that is read-only, as those from a socket or a file are."""
+    """A read-only frame, as those from a socket or a file are."""
     dtype = np.uint8 if bit_depth == 8 else np.uint16
     shape = (SIZE_PX, SIZE_PX) if channels == 1 else (SIZE_PX, SIZE_PX, channels)
     level = dtype((20 * frame_index) << (bit_depth - 8))

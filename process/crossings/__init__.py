@@ -1,1 +1,1 @@
-"""Algorithms 2 and 3: contrast mask and crossings."""
+"""Algorithms 2 and 3 of the paper: contrast mask and crossings, with sigma and quality bits."""

@@ -1,4 +1,4 @@
-"""Owns what follows from a change of the light in mid-sweep: frames that are marked, pixels that rest on them."""
+"""Effects of a change of the light during a sweep: marked frames, and the pixels whose crossing depends on them."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from .quality import Quality
 
 
 def marked(maps: Maps, other_light: NDArray[np.bool_]) -> Maps:
-    """``maps`` with the bit set where the crossing, or the maximum that S rests on, lies in another light.
+    """``maps`` with OTHER_LIGHT set where the crossing, or the maximum that S depends on, lies in a marked frame.
 
     Args:
         maps: of a whole sweep.
-        other_light: ``ScanReader.other_light``, bool [n].
+        other_light: ``ScanReader.other_light``, bool [frames].
     """
     if not other_light.any():
         return maps
     known = np.isfinite(maps.crossing)
     last = len(other_light) - 1
     at = np.clip(np.ceil(np.where(known, maps.crossing, 0)).astype(np.int64), 0, last)
-    rests_on_it = known & (other_light[at] | other_light[np.clip(maps.last_record, 0, last)])
-    quality = maps.quality | np.where(rests_on_it, np.uint16(Quality.OTHER_LIGHT), np.uint16(0))
+    depends_on_it = known & (other_light[at] | other_light[np.clip(maps.last_maximum, 0, last)])
+    quality = maps.quality | np.where(depends_on_it, np.uint16(Quality.OTHER_LIGHT), np.uint16(0))
     counts = maps.counts | quality_counts(maps.mask, maps.crossing, quality)
     return dataclasses.replace(maps, quality=quality, counts=counts)
 
 
 def light_warnings(other_light: NDArray[np.bool_], counts: dict[str, int]) -> list[str]:
-    """A sentence for the report where frames were taken in another light."""
+    """Warnings for the report: one where frames were taken in another light."""
     frames = np.flatnonzero(other_light)
     if not frames.size:
         return []

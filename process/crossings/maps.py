@@ -1,7 +1,8 @@
-"""Own the step from folded pixels to maps: contrast mask, crossing, sigma, quality, counts.
+"""Maps of a sweep from its folded pixels: contrast mask (algorithm 2), crossing (algorithm 3), sigma, quality, counts.
 
-Promises the maps of the two-pass definition, bit for bit; pixels whose crossing the fold no longer knows
-are resolved from the sequence itself, or stay NaN and are counted as unresolved.
+The maps equal those of the paper's two passes, bit for bit. Pixels whose crossing the fold no longer knows are resolved
+from the sequence itself, or stay NaN and are counted as unresolved. Beyond the paper: >= in both comparisons, falling
+edges, missing frames (docs/design.md, section 4).
 """
 
 from __future__ import annotations
@@ -25,35 +26,35 @@ ReadColumns: TypeAlias = Callable[[NDArray[np.intp]], tuple[NDArray[Any], NDArra
 """Flat pixel indices -> (frame indices [n], original grey values [n, pixels])."""
 
 COLUMN_BYTES = 64_000_000
-"""Most bytes of columns asked for at once; more flagged pixels are read in several goes."""
+"""Most bytes of pixel columns read at once; more flagged pixels are read in several pieces."""
 
 
 @dataclass(frozen=True)
 class Maps:
-    """Result of a sweep, or of its first frames: arrays [h, w] that nobody changes any more."""
+    """Result of a sweep, or of its first frames: arrays [h, w], never changed afterwards."""
 
     minimum: NDArray[Any]
-    """uint8 or uint16: lowest original intensity."""
+    """uint8 or uint16: lowest original intensity, Imin of algorithm 1."""
     maximum: NDArray[Any]
-    """uint8 or uint16: highest original intensity."""
+    """uint8 or uint16: highest original intensity, Imax of algorithm 1."""
     mask: NDArray[np.uint8]
-    """1 where max - min >= contrast, after the median."""
+    """C of algorithm 2: 1 where max - min >= contrast, after the median filter."""
     crossing: NDArray[np.float64]
-    """0-based fractional frame index; NaN outside the mask, lit at the start, or unresolved."""
+    """T of algorithm 3: 0-based fractional frame index; NaN outside the mask, lit at the start, or unresolved."""
     sigma: NDArray[np.float32]
     """Standard deviation of the crossing in frames; NaN where there is none."""
     quality: NDArray[np.uint16]
     """Bits of Quality; 0 outside the mask."""
     colour: NDArray[np.uint8]
     """[h, w, 3] RGB of the frame of the first maximum, in 8 bit."""
-    last_record: NDArray[np.int32]
+    last_maximum: NDArray[np.int32]
     """Frame index of the newest new maximum of the folded signal; -1 where nothing was folded."""
     counts: dict[str, int]
     """over_contrast, past_s_in_first, crossings, flagged, unresolved, and one per quality bit."""
 
 
 class Folded(NamedTuple):
-    """What the fold hands over; [h, w] originals, flat samples of the folded signal."""
+    """What the fold knows: original extremes [h, w], and flat samples of the folded signal."""
 
     minimum: NDArray[Any]
     maximum: NDArray[Any]
@@ -74,9 +75,10 @@ def full_scale(bit_depth: int) -> int:
 def contrast_mask(
     minimum: NDArray[Any], maximum: NDArray[Any], contrast: int, median: int, bit_depth: int
 ) -> NDArray[np.uint8]:
-    """[h, w] uint8: 1 where max - min >= contrast x 2^(bit_depth - 8), then its median.
+    """Algorithm 2: [h, w] uint8, 1 where max - min >= contrast x 2^(bit_depth - 8), then the median filter of it.
 
-    Raises ValueError for a negative contrast and for a median that is neither 0 nor odd.
+    Raises:
+        ValueError: a negative contrast, or a median that is neither 0 nor odd.
     """
     if contrast < 0:
         raise ValueError(f"the contrast has to be 0 or more, not {contrast}")
@@ -88,14 +90,14 @@ def contrast_mask(
     return mask
 
 
-class _How(NamedTuple):
-    """What the kernel is told beside the samples."""
+class _Interpolation(NamedTuple):
+    """Options of estimate_crossings."""
 
     noise: float
     """Standard deviation in levels."""
     probit: bool
     quantiles: NDArray[np.float64]
-    """Of 8-bit levels where they are asked for: an inverse normal for each pixel takes longer than all the rest."""
+    """Table for 8-bit levels with probit, else empty: an inverse normal per pixel takes longer than all the rest."""
 
 
 @functools.cache
@@ -122,7 +124,7 @@ class _Estimates(NamedTuple):
 
 
 def _levels_and_quality(folded: Folded, mask: NDArray[np.uint8], quality: NDArray[np.uint16]) -> None:
-    """Bits that need the original extremes only; dark means the original intensity for both edges."""
+    """Set the bits that need the extremes only; dark is meant of the original intensity, for both edges."""
     full = full_scale(folded.bit_depth)
     inside = mask.ravel() != 0
     quality[inside & (folded.maximum.ravel() == full)] |= np.uint16(Quality.SATURATED)
@@ -132,7 +134,7 @@ def _levels_and_quality(folded: Folded, mask: NDArray[np.uint8], quality: NDArra
 def _columns(
     read_columns: ReadColumns, pixels: NDArray[np.intp], folded: Folded
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Sequence of some pixels over exactly the folded frames, in the folded signal: [frames, pixels]."""
+    """Levels of some pixels in exactly the folded frames, of the folded signal, [frames, pixels]."""
     frames, values = read_columns(pixels)
     frames = np.asarray(frames)
     places = np.searchsorted(frames, folded.present)
@@ -158,7 +160,7 @@ def _check_same(samples: Samples, columns: Samples, pixels: NDArray[np.intp]) ->
 
 
 def empty_samples(pixels: int) -> Samples:
-    """Samples of some pixels, all zero, to be filled."""
+    """Samples of some pixels, all zero."""
 
     def levels() -> NDArray[np.uint16]:
         return np.zeros(pixels, np.uint16)
@@ -180,8 +182,14 @@ def empty_samples(pixels: int) -> Samples:
     )
 
 
-def _resolve(read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folded, how: _How, out: _Estimates) -> None:
-    """Two passes over the sequence of the flagged pixels, in bounded pieces."""
+def _resolve(
+    read_columns: ReadColumns,
+    flagged: NDArray[np.intp],
+    folded: Folded,
+    interpolation: _Interpolation,
+    out: _Estimates,
+) -> None:
+    """Estimate the flagged pixels by two passes over their sequence, as the paper does, in bounded pieces."""
     size = max(1, COLUMN_BYTES // (folded.minimum.dtype.itemsize * len(folded.present)))
     for start in range(0, len(flagged), size):
         pixels = flagged[start : start + size]
@@ -189,7 +197,7 @@ def _resolve(read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folde
         sample_columns(_columns(read_columns, pixels, folded), samples)
         _check_same(folded.samples, samples, pixels)
         part = _Estimates.empty(len(pixels))
-        estimate_crossings(np.arange(len(pixels)), samples, folded.present, *how, *part)
+        estimate_crossings(np.arange(len(pixels)), samples, folded.present, *interpolation, *part)
         out.crossing[pixels] = part.crossing
         out.sigma[pixels] = part.sigma
         out.quality[pixels] |= part.quality | np.uint16(Quality.FROM_FILE)
@@ -198,7 +206,7 @@ def _resolve(read_columns: ReadColumns, flagged: NDArray[np.intp], folded: Folde
 def quality_counts(
     mask: NDArray[np.uint8], crossing: NDArray[np.float64], quality: NDArray[np.uint16]
 ) -> dict[str, int]:
-    """over_contrast, past_s_in_first, crossings, and one per quality bit; arrays of one shape."""
+    """Counts over_contrast, past_s_in_first, crossings, and one per quality bit; arrays of one shape."""
     by_value = np.bincount(quality[quality != 0], minlength=256)
     values = np.arange(len(by_value))
     bits = {bit.name.lower(): int(by_value[(values & bit) != 0].sum()) for bit in Quality if bit.name}
@@ -225,17 +233,17 @@ def make_maps(
     """
     shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
     quantiles = _quantiles_8_bit() if probit and folded.bit_depth == 8 else _NO_QUANTILES
-    how = _How(noise_counts * 2.0 ** (folded.bit_depth - 8), probit, quantiles)
+    interpolation = _Interpolation(noise_counts * 2.0 ** (folded.bit_depth - 8), probit, quantiles)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask != 0)
-    estimate_crossings(selected, samples, folded.present, *how, *out)
+    estimate_crossings(selected, samples, folded.present, *interpolation, *out)
     unknown = selected[samples.ordinal[selected] == UNKNOWN]
     flagged = unknown[(out.quality[unknown] & np.uint16(Quality.LIT_AT_START)) == 0]
     if read_columns is not None:
-        _resolve(read_columns, flagged, folded, how, out)
-    last_record = np.empty(mask.size, np.int32)
-    look_up(folded.present, samples.last_ordinal, last_record)
+        _resolve(read_columns, flagged, folded, interpolation, out)
+    last_maximum = np.empty(mask.size, np.int32)
+    look_up(folded.present, samples.last_ordinal, last_maximum)
     return Maps(
         minimum=folded.minimum,
         maximum=folded.maximum,
@@ -244,7 +252,7 @@ def make_maps(
         sigma=out.sigma.reshape(shape),
         quality=out.quality.reshape(shape),
         colour=colour,
-        last_record=last_record.reshape(shape),
+        last_maximum=last_maximum.reshape(shape),
         counts=quality_counts(mask, out.crossing, out.quality)
         | {"flagged": len(flagged), "unresolved": 0 if read_columns is not None else len(flagged)},
     )

@@ -1,4 +1,4 @@
-"""Own the meaning of the quality bits; their values are part of maps.h5 and cloud.ply and never change."""
+"""Quality bits of a pixel's crossing, uint16. Their values are part of maps.h5 and cloud.ply and never change."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from enum import IntFlag
 
 
 class Quality(IntFlag):
-    """What speaks against a pixel's crossing; a bit is set only where the contrast mask is true."""
+    """Reasons to doubt a pixel's crossing; a bit is set only where the contrast mask is true."""
 
     LIT_AT_START = 1
     """The first frame is already at or above S: no crossing."""
     PLATEAU_NOT_REACHED = 2
-    """The sweep ended within the edge, the pixel still bright: the maximum, and so S, is too low."""
+    """The sweep ended within the edge, with the pixel still bright: the maximum, and so S, is too low."""
     NO_DARK_LEVEL = 4
     """The sweep began within the edge, or the pixel never got below half of full scale."""
     SATURATED = 8
@@ -23,6 +23,6 @@ class Quality(IntFlag):
     MISSING_NEIGHBOUR = 64
     """A frame is missing between the two that the crossing lies between."""
     FILTERED = 128
-    """Taken out by a later filter (sigma, isolation)."""
+    """Left out of the cloud by a filter (sigma, isolation)."""
     OTHER_LIGHT = 256
-    """The crossing, or the maximum that S rests on, lies in a frame that was taken after the light had changed."""
+    """The crossing, or the maximum that S depends on, lies in a frame that was taken after the light had changed."""

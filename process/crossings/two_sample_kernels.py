@@ -1,6 +1,12 @@
-"""Own the per-pixel arithmetic of crossings: samples from columns, the estimates from two of them, sigma, quality.
+"""Crossing of each pixel from the two samples about half brightness (algorithm 3 of the paper), its sigma and quality.
 
-Everything is in the folded signal (the complement for falling edges) and in float64, in the written order.
+S = (minimum + maximum) / 2 and the crossing is t = p + (m - p) (S - I[p]) / (I[m] - I[p]), with m the first frame at or
+above S and p the present frame before it (the paper's m - 1). ``probit`` interpolates in z = Phi^-1 of the level's
+share
+of the range instead: there an erf edge is a straight line.
+
+Levels are of the folded signal (the complement for falling edges). Arithmetic is float64, in the written order: the
+maps are compared bit for bit with a second implementation (tests/reference/two_pass.py).
 """
 
 from __future__ import annotations
@@ -16,7 +22,7 @@ from process.numba_cache import inlined_kernel, kernel
 from process.pixel_layout import NEVER, NO_DIP
 
 GAUSS = 2.5066
-"""sqrt(2 pi): an erf edge of standard deviation w and height A has the slope A / (GAUSS w)."""
+"""sqrt(2 pi), rounded: an erf edge of standard deviation w and height A has the greatest slope A / (GAUSS w)."""
 
 _LIT = int(Quality.LIT_AT_START)
 _PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
@@ -26,22 +32,22 @@ _MISSING = int(Quality.MISSING_NEIGHBOUR)
 
 
 class Samples(NamedTuple):
-    """What an estimate of a crossing needs of each pixel; flat arrays [pixels], levels of the folded signal."""
+    """Input of the estimate for each pixel: flat arrays [pixels], levels of the folded signal."""
 
     minimum: NDArray[np.uint16]
     maximum: NDArray[np.uint16]
     first: NDArray[np.uint16]
     """Value in the first folded frame."""
     ordinal: NDArray[np.int32]
-    """First frame at or above S as its place among the folded ones; NEVER or UNKNOWN."""
+    """First frame at or above S, m, as its number among the folded frames; NEVER or UNKNOWN."""
     level: NDArray[np.uint16]
-    """Value in that frame."""
+    """I[m]."""
     before: NDArray[np.uint16]
-    """Value in the folded frame before it."""
+    """I[p], in the folded frame before it."""
     later_dip: NDArray[np.int32]
     """Lowest value from there to the last new maximum; NO_DIP where there is no later one."""
     last_ordinal: NDArray[np.int32]
-    """Place of the frame of the first maximum."""
+    """Number of the frame of the first maximum."""
     tail_dip: NDArray[np.uint16]
     """Lowest value from the first maximum on."""
     tail_rise: NDArray[np.uint16]
@@ -50,9 +56,10 @@ class Samples(NamedTuple):
 
 @kernel
 def sample_columns(columns, samples):
-    """Fill samples from the whole sequence of some pixels: columns [frames, pixels], folded signal."""
+    """Fill samples by two passes over the levels of some pixels, columns [frames, pixels] of the folded signal."""
     frames, pixels = columns.shape
     for pixel in range(pixels):
+        # algorithm 1
         high = np.int64(columns[0, pixel])
         low = high
         last = 0
@@ -61,6 +68,7 @@ def sample_columns(columns, samples):
             low = min(low, value)
             if value > high:
                 high, last = value, k
+        # algorithm 3; the loop ends, the maximum is at or above S
         first_above = 0
         while 2 * np.int64(columns[first_above, pixel]) < low + high:
             first_above += 1
@@ -83,7 +91,8 @@ def sample_columns(columns, samples):
 
 @inlined_kernel
 def _edge_quality(width, crossing, from_last_maximum, still_bright, first, last):
-    # a pixel that the light has left again had its plateau, however short
+    # width: of the edge in frames, from the slope between the two samples. The maximum is too low if the sweep ended
+    # while it still rose; a pixel that the light has left again had its plateau, however short.
     bits = 0
     if still_bright and from_last_maximum <= width + 1 and last - crossing < 2.5 * width + 1:
         bits |= _PLATEAU
@@ -99,7 +108,8 @@ def _normal_density(z):
 
 @kernel
 def normal_quantile(p):
-    """Inverse of the cumulative normal distribution, 0 < p < 1: Halley's steps from the logistic one."""
+    """Inverse of the cumulative normal distribution, 0 < p < 1."""
+    # Halley's iteration from the logistic distribution's quantile; four steps reach float64
     z = math.log(p / (1.0 - p)) / 1.702
     for _ in range(4):
         off = (0.5 * math.erfc(-z / math.sqrt(2.0)) - p) / _normal_density(z)
@@ -111,7 +121,7 @@ def normal_quantile(p):
 def probit_fraction(base, level, low, high):
     """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 1) / noise.
 
-    Shares of the range are kept half a level away from 0 and 1, where the quantile has no end.
+    base, level: the two samples; low, high: levels of the plateaus.
     """
     span = high - low + 1.0
     return fraction_between(_quantile_of(base - low, span), _quantile_of(level - low, span), span)
@@ -119,13 +129,15 @@ def probit_fraction(base, level, low, high):
 
 @inlined_kernel
 def _quantile_of(above, span):
+    # the level stands for an interval of one count: its middle, half a count away from shares 0 and 1, where z is
+    # infinite
     least = 0.5 / span
     return normal_quantile(min(max((above + 0.5) / span, least), 1.0 - least))
 
 
 @kernel
 def fill_quantiles(table):
-    """table[s, a] for a < s: quantile of a level that lies a above the lowest of s levels, as ``probit_fraction``."""
+    """Fill table[s, a] for a < s: quantile of the level a above the lowest of s levels, as in ``probit_fraction``."""
     for span in range(1, table.shape[0]):
         for above in range(span):
             table[span, above] = _quantile_of(np.float64(above), np.float64(span))
@@ -133,9 +145,10 @@ def fill_quantiles(table):
 
 @kernel
 def fraction_between(z0, z1, span):
-    """As ``probit_fraction``, from the quantiles of the two samples and the number of levels of the range."""
+    """As ``probit_fraction``, from the quantiles z0, z1 of the two samples and the number of levels ``span``."""
     if z1 <= z0:
         return 0.5, span
+    # error propagation: z = 0 lies at -z0 / (z1 - z0), and a level's error dI gives dz = dI / (span density(z))
     steep = (z1 - z0) * (z1 - z0)
     scatter = np.hypot(z1 / _normal_density(z0), z0 / _normal_density(z1)) / steep
     return min(max(-z0 / (z1 - z0), 0.0), 1.0), scatter
@@ -150,18 +163,24 @@ def look_up(numbers, places, out):
 
 @kernel
 def estimate_crossings(selected, samples, present, noise, probit, quantiles, crossing, sigma, quality):
-    """Crossing (frame index) from two samples, sigma (frames) and quality of the selected pixels.
+    """Algorithm 3: crossing (frame index), sigma (frames) and quality of the selected pixels, from two samples.
 
-    selected: flat indices into samples and the outputs. present: frame index of each folded frame.
-    noise: standard deviation in levels. probit: interpolate in the inverse normal of the range's share, not
-    in the levels; quantiles [s, a]: ``fill_quantiles``, of ranges up to its size, or empty. Outputs are changed
-    only at selected pixels; a pixel whose crossing is UNKNOWN is left alone.
+    Args:
+        selected: flat indices into samples and the outputs.
+        samples: Samples.
+        present: frame index of each folded frame.
+        noise: standard deviation in levels.
+        probit: interpolate in the inverse normal of the share of the range, not in the levels.
+        quantiles: [s, a] of ``fill_quantiles``, for ranges up to its size; may be empty.
+        crossing: float64, written at selected pixels only; a pixel whose crossing is UNKNOWN is left alone.
+        sigma: float32, likewise.
+        quality: uint16, bits are added likewise.
     """
     first, last = present[0], present[present.size - 1]
     for index in range(selected.size):
         pixel = selected[index]
         low, high = np.int64(samples.minimum[pixel]), np.int64(samples.maximum[pixel])
-        total = low + high
+        total = low + high  # 2 S: compared with twice a level, in exact integers
         if 2 * np.int64(samples.first[pixel]) >= total:
             quality[pixel] |= _LIT
             continue
@@ -173,6 +192,7 @@ def estimate_crossings(selected, samples, present, noise, probit, quantiles, cro
         step = np.float64(samples.level[pixel]) - base
         half = np.float64(total) / 2.0
         span = np.float64(after - before)
+        # this product and quotient in this order: (half - base) / step first would round differently
         time = before + span * (half - base) / step
         fraction = (half - base) / step
         scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
@@ -185,6 +205,7 @@ def estimate_crossings(selected, samples, present, noise, probit, quantiles, cro
                 fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
             time, scatter = before + span * fraction, scatter * span * noise / (high - low + 1.0)
         crossing[pixel], sigma[pixel] = time, scatter
+        # quality: several crossings where the pixel was down to a quarter of the range after it and rose again
         width = np.float64(high - low) / (GAUSS * step / span)
         behind = np.float64(last - present[samples.last_ordinal[pixel]])
         still_bright = 2 * np.int64(samples.tail_dip[pixel]) >= total

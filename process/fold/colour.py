@@ -1,4 +1,8 @@
-"""Own colour frames: their grey, and the colour of each pixel: that of the frame of its first maximum."""
+"""Colour frames: their grey by OpenCV's weights, and the colour of each pixel, from the frame of its first maximum.
+
+RGB frames [h, w, 3] and grey [h, w], uint8 or uint16 right-aligned; the colour kept is 8 bit. The maximum here is that
+of the original intensity for both edges, not of the folded signal.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,7 @@ def _take(pixel, grey, frame, highest, colour, shift):
 
 @kernel
 def take_new_maxima(grey, frame, highest, colour, shift):
-    """Where grey [pixels] is above highest [pixels]: take it, and frame [pixels, 3] as 8 bit into colour."""
+    """Where grey [pixels] > highest [pixels]: set highest to it, and colour [pixels, 3] to frame >> shift."""
     masks = np.empty(BLOCKS, np.uint64)
     used = np.empty(BLOCKS + 1, np.uint64)
     listed = np.empty(TILE + 2, np.uint64)
@@ -45,6 +49,7 @@ def take_new_maxima(grey, frame, highest, colour, shift):
             at = start + block * BLOCK
             masks[block] = higher_than(grey, at, highest, at)
         for index in range(list_bits(masks, used, listed)):
+            # unsigned: numba would check a signed index for wrap-around
             _take(np.uint64(start) + listed[index], grey, frame, highest, colour, shift)
     for pixel in range(whole, grey.size):
         if grey[pixel] > highest[pixel]:
@@ -61,7 +66,7 @@ class ColourOfMaximum:
         self._shape = shape
 
     def add(self, grey: NDArray[Any], frame: NDArray[Any]) -> None:
-        """Take a frame [h, w, 3] and its original grey [h, w], uint8 or uint16."""
+        """Add a frame [h, w, 3] and its original grey [h, w]."""
         flat, pixels = np.ascontiguousarray(grey).reshape(-1), writable(np.ascontiguousarray(frame)).reshape(-1, 3)
         if self._highest is None:
             self._highest = flat.copy()
@@ -70,5 +75,5 @@ class ColourOfMaximum:
         take_new_maxima(flat, pixels, self._highest, self._colour, self._shift)
 
     def copy(self) -> NDArray[np.uint8]:
-        """Colours so far: [h, w, 3] uint8 RGB."""
+        """Colours so far, [h, w, 3] uint8 RGB."""
         return self._colour.reshape(*self._shape, 3).copy()

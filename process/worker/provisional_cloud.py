@@ -54,7 +54,7 @@ def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np
     cloud = cloud_of(maps, settings, cursor.folded, position_um)
     provisional = np.zeros(0, np.bool_)
     if cloud is not None:
-        age = cursor.fold.folded_through - maps.last_record.ravel()[cloud.pixels]
+        age = cursor.fold.folded_through - maps.last_maximum.ravel()[cloud.pixels]
         provisional = (age < SETTLED_AFTER_FRAMES) & (not cursor.done)
     moving = int(provisional.sum())
     return Preview(

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from process.fold.fold import Fold, level_type, warm_up
+from process.fold.fold import Fold, level_type
+from process.warmup import warm_up
 
 LIT_SHARE = 0.1
 """Share of the pixels that the simulated object covers; the rest is dark with noise."""

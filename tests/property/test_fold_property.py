@@ -11,7 +11,7 @@ from process.crossings.quality import Quality
 from process.fold.fold import Fold
 from tests.reference.two_pass import greys_of, two_pass
 
-MAPS = ("minimum", "maximum", "mask", "crossing", "sigma", "colour", "last_record")
+MAPS = ("minimum", "maximum", "mask", "crossing", "sigma", "colour", "last_maximum")
 KINDS = ("noise", "steps", "edge", "ramp", "constant", "saturated", "fall", "pulses")
 
 
@@ -56,8 +56,8 @@ def sweeps(draw):
     return bit_depth, indices, frames
 
 
-def fold_of(shape, bit_depth, edge, indices, frames, records=16):
-    fold = Fold(shape, bit_depth=bit_depth, edge=edge, frames_expected=indices[-1] + 1, records=records)
+def fold_of(shape, bit_depth, edge, indices, frames, log_room=16):
+    fold = Fold(shape, bit_depth=bit_depth, edge=edge, frames_expected=indices[-1] + 1, log_room=log_room)
     for index, frame in zip(indices, frames, strict=True):
         fold.add(index, frame)
     return fold
@@ -115,9 +115,9 @@ TILES = (64, 64)
     seed=st.integers(0, 2**32),
     kinds=st.lists(st.sampled_from(KINDS), min_size=1, max_size=3),
     bit_depth=st.sampled_from([8, 12]),
-    records=st.sampled_from([2, 3, 4, 8]),
+    log_room=st.sampled_from([2, 3, 4, 8]),
 )
-def test_a_log_that_overflows_stays_exact_with_the_file_at_hand(edge, seed, kinds, bit_depth, records):
+def test_a_log_that_overflows_stays_exact_with_the_file_at_hand(edge, seed, kinds, bit_depth, log_room):
     rng = np.random.default_rng(seed)
     n, full = 60, 2**bit_depth - 1
     parts = [signal(kind, n, TILES, full, rng) for kind in kinds]
@@ -125,7 +125,7 @@ def test_a_log_that_overflows_stays_exact_with_the_file_at_hand(edge, seed, kind
     frames = list(np.clip(np.rint(values), 0, full).astype(np.uint8 if bit_depth == 8 else np.uint16))
     indices = list(range(n))
     chosen = {"contrast": 5, "median": 0, "noise_counts": 2.0}
-    fold = fold_of(TILES, bit_depth, edge, indices, frames, records)
+    fold = fold_of(TILES, bit_depth, edge, indices, frames, log_room)
     maps = fold.result(**chosen, read_columns=columns_of(indices, frames))
     reference = two_pass(indices, frames, bit_depth=bit_depth, edge=edge, **chosen)
     assert_same(maps, reference)

@@ -1,4 +1,4 @@
-"""Own the slow, obvious definition of the maps: the whole sequence read twice, plain numpy, pixel by pixel.
+"""The two-pass definition of the maps (algorithms 1 to 3 of the paper): slow, obvious, plain numpy, pixel by pixel.
 
 Independent of the fold on purpose: nothing of process is imported.
 """
@@ -20,7 +20,7 @@ class Reference:
     sigma: np.ndarray
     quality: np.ndarray
     colour: np.ndarray
-    last_record: np.ndarray
+    last_maximum: np.ndarray
 
 
 def greys_of(frames: list[np.ndarray]) -> np.ndarray:
@@ -51,12 +51,12 @@ def two_pass(
     sigma = np.full(shape, np.nan, np.float32)
     quality = np.zeros(shape, np.uint16)
     colour = np.zeros((*shape, 3), np.uint8)
-    last_record = np.zeros(shape, np.int32)
+    last_maximum = np.zeros(shape, np.int32)
     noise = noise_counts * 2 ** (bit_depth - 8)
     for y in range(shape[0]):
         for x in range(shape[1]):
             values = [int(v) for v in signal[:, y, x]]
-            last_record[y, x] = indices[values.index(max(values))]
+            last_maximum[y, x] = indices[values.index(max(values))]
             brightest = frames[int(np.argmax(grey[:, y, x]))][y, x] >> (bit_depth - 8)
             colour[y, x] = brightest
             if not mask[y, x]:
@@ -68,7 +68,7 @@ def two_pass(
                 bits |= 4
             t, s, more = estimate(indices, values, noise)
             crossing[y, x], sigma[y, x], quality[y, x] = t, s, bits | more
-    return Reference(minimum, maximum, mask, crossing, sigma, quality, colour, last_record)
+    return Reference(minimum, maximum, mask, crossing, sigma, quality, colour, last_maximum)
 
 
 def estimate(indices: list[int], values: list[int], noise: float) -> tuple[float, float, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from math import erf, sqrt
 
 import cv2
@@ -174,7 +175,7 @@ def test_a_frame_that_does_not_fit_is_refused_and_folds_nothing(index, frame):
         {"bit_depth": 17},
         {"frames_expected": 0},
         {"frames_expected": 65537},
-        {"records": 1},
+        {"log_room": 1},
         {"shape": (0, 4)},
     ],
     ids=str,
@@ -217,15 +218,26 @@ def test_grey_of_a_grey_frame_is_the_frame_itself():
 
 
 @pytest.mark.parametrize("bit_depth", [8, 12])
-def test_the_memory_asked_for_beforehand_covers_what_the_fold_and_a_result_hold(bit_depth):
-    shape = (100, 100)
-    fold = Fold(shape, bit_depth=bit_depth, edge="rising", frames_expected=5)
+def test_the_memory_asked_for_beforehand_covers_what_the_fold_and_a_result_take(bit_depth):
     dtype = np.uint8 if bit_depth == 8 else np.uint16
-    fold.add(0, np.zeros((*shape, 3), dtype))
-    maps = fold.result(**CHOSEN, read_columns=None)
-    held = [fold._first, fold._state, *fold._log, fold._recent._slots, fold._recent._tails, fold._colour._colour]
-    held += [value for value in vars(maps).values() if isinstance(value, np.ndarray)]
-    assert sum(array.nbytes for array in held) <= Fold.bytes_needed(shape, bit_depth)
+
+    def taken(shape) -> int:
+        """Most bytes that a colour fold of five frames and its result hold at a time."""
+        frames = np.random.default_rng(1).integers(0, 2**bit_depth, (5, *shape, 3)).astype(dtype)
+        tracemalloc.start()
+        fold = Fold(shape, bit_depth=bit_depth, edge="rising", frames_expected=len(frames))
+        for index, frame in enumerate(frames):
+            fold.add(index, frame)
+        maps = fold.result(**CHOSEN, read_columns=None)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert maps.counts["over_contrast"] > 0
+        return peak
+
+    taken((2, 2))  # the kernels are compiled now
+    shape = (300, 400)
+    needed = Fold.bytes_needed(shape, bit_depth)
+    assert 0.7 * needed < taken(shape) <= needed
 
 
 def test_a_sweep_may_have_as_many_frames_as_a_16_bit_number_counts():
@@ -234,7 +246,7 @@ def test_a_sweep_may_have_as_many_frames_as_a_16_bit_number_counts():
     for index in range(65536):
         fold.add(index, lit if index > 65500 else dark, keep=True)
     maps = fold.result(**CHOSEN, read_columns=None)
-    assert (maps.crossing[0, 0], maps.last_record[0, 0]) == (65500.5, 65501)
+    assert (maps.crossing[0, 0], maps.last_maximum[0, 0]) == (65500.5, 65501)
 
 
 # --- pixels that the bounded log no longer knows
@@ -249,8 +261,8 @@ def ramps() -> list[np.ndarray]:
     return [np.clip(np.rint(5 + slope * k), 0, 250).astype(np.uint8) for k in range(60)]
 
 
-def ramp_fold(records=4) -> Fold:
-    fold = Fold(RAMPS, bit_depth=8, edge="rising", frames_expected=60, records=records)
+def ramp_fold(log_room=4) -> Fold:
+    fold = Fold(RAMPS, bit_depth=8, edge="rising", frames_expected=60, log_room=log_room)
     for index, frame in enumerate(ramps()):
         fold.add(index, frame)
     return fold
@@ -277,7 +289,7 @@ def test_flagged_pixels_are_resolved_from_the_file_and_say_so():
 
 
 def test_what_is_flagged_does_not_depend_on_results_in_mid_sweep():
-    looked = Fold(RAMPS, bit_depth=8, edge="rising", frames_expected=60, records=4)
+    looked = Fold(RAMPS, bit_depth=8, edge="rising", frames_expected=60, log_room=4)
     for index, frame in enumerate(ramps()):
         looked.add(index, frame)
         looked.result(**CHOSEN, read_columns=None)
