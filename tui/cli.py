@@ -1,4 +1,4 @@
-"""The command `sweepscope`: its subcommands, one line for every error, exit statuses for scripts."""
+"""The command `sweepscope`: collects the subcommands, prints every error on one line, sets the exit status."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def run(arguments: Sequence[str]) -> int:
         return _complain(error.format_message() + _where_to_look(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         return EXIT_INTERRUPTED
-    except Exception as error:  # noqa: BLE001 - the outermost rim: whatever it is becomes one line
+    except Exception as error:  # noqa: BLE001 - outermost: any error is printed on one line
         return _unexpected(error, debug="--debug" in arguments)
     return status if isinstance(status, int) else 0
 

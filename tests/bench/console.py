@@ -86,7 +86,7 @@ def _cpu_share(terminal: Tmux) -> float:
 
 
 def _echoes(terminal: Tmux) -> Iterator[float]:
-    """A key whose effect this console shows by itself: another fine step."""
+    """A key whose effect is local to the console: another step size."""
     sizes = STEP_SIZES[1:3]
     for number in range(PRESSES):
         wanted = sizes[(number + 1) % 2]
@@ -94,17 +94,17 @@ def _echoes(terminal: Tmux) -> Iterator[float]:
 
 
 def _round_trips(terminal: Tmux) -> Iterator[float]:
-    """A key whose effect comes from the daemon."""
+    """A key that needs an answer of the daemon."""
     for _ in range(PRESSES // 6):
         yield terminal.effect_s("p", "HOLDING (paused)")
         terminal.effect_s("r", "SWEEPING")
 
 
-# ---- a bare line, with a stand-in for the daemon ----
+# ---- a terminal of limited speed, with a stand-in for the daemon ----
 
 
 class StandIn:
-    """Says five states and pictures per second, takes commands, remembers when they came. A context manager."""
+    """Publishes five statuses and pictures per second, and records when commands arrive. A context manager."""
 
     def __init__(self) -> None:
         self.run_dir = Path(tempfile.mkdtemp(prefix="bench-line-"))
@@ -148,10 +148,10 @@ class StandIn:
             commands.send(reply, routing_id=received.routing_id)
 
     def wait_for(self, name: str) -> float:
-        """When the command came.
+        """Time at which the command arrived.
 
         Raises:
-            SweepscopeError: it never did.
+            SweepscopeError: it did not.
         """
         end_s = time.monotonic() + READY_S
         while name not in self.came_s:
@@ -167,7 +167,7 @@ def _picture(number: int) -> Picture:
 
 
 def _pixels(number: int) -> bytes:
-    """A scene that moves as a whole: the dearest to paint."""
+    """A scene that moves as a whole: the most expensive to draw."""
     y, x = np.mgrid[0:384, 0:512]
     scene = 120 + 60 * np.sin((x + 17 * number) / 25) + 50 * np.sin((y + 11 * number) / 19)
     return np.clip(scene, 0, 255).astype(np.uint8).tobytes()
@@ -188,7 +188,7 @@ def _stop_while_stuck() -> dict[str, float]:
 def _slow_link(size: tuple[int, int]) -> dict[str, Any]:
     with StandIn() as daemon, BareLine(daemon.run_dir, size, SLOW_BYTES_PER_S) as line:
         line.effect_s("", " px  ")
-        time.sleep(WATCH_S)  # the governor settles
+        time.sleep(WATCH_S)  # until the picture rate has settled
         begin_bytes, begin_s = line.read_bytes, time.monotonic()
         sizes = STEP_SIZES[1:3]
         echoes = []

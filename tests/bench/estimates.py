@@ -29,7 +29,7 @@ DARK = 20.0
 """Level of the dark plateau."""
 FRAMES = 200
 FLAGGED = 1 | 2 | 4 | 8 | 16 | 128
-"""Quality bits that say that a crossing is not to be trusted blindly."""
+"""Quality bits of a crossing that may be wrong."""
 WIDTHS = (0.3, 0.7, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
 LEVELS = ((30.0, 1.0), (30.0, 2.0), (30.0, 5.0), (100.0, 1.0), (100.0, 2.0), (100.0, 5.0), (200.0, 1.0), (200.0, 5.0))
 """(contrast, noise), in counts."""
@@ -40,7 +40,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 
 
 class Case(NamedTuple):
-    """What an estimate did on one kind of edge."""
+    """Result of an estimate on one kind of edge."""
 
     width: float
     """Standard deviation of the edge in frames."""
@@ -50,7 +50,7 @@ class Case(NamedTuple):
     times_bound: float
     """RMS of error / bound, over the pixels that are not flagged."""
     worst_bias: float
-    """Largest mean error of the 16 phases, in units of what is allowed: max(0.02 frame, 0.1 x bound)."""
+    """Largest mean error of the 16 phases, in units of the limit max(0.02 frame, 0.1 x bound)."""
     within_68: float
     """Share of the errors within one sigma."""
     within_95: float
@@ -103,7 +103,7 @@ def bench_estimates(
 
 
 def bench_clipped(pixels: int = 16_000) -> Iterator[Case]:
-    """Edges whose plateau the camera cannot show; that they are saturated is known and does not count as a flag."""
+    """Edges whose plateau is beyond full scale; the flag for saturation is expected and not counted."""
     for width in CLIPPED_WIDTHS:
         for contrast, noise in CLIPPED_LEVELS:
             frames = made_edges(width, contrast, noise, pixels)

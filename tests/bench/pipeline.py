@@ -82,7 +82,7 @@ def _memcpy_ns(ring: NDArray[np.uint8]) -> float:
 
 @contextmanager
 def _place() -> Iterator[Path]:
-    """A folder for sockets and scan, short enough for a socket path, gone afterwards."""
+    """A temporary folder for sockets and scan, short enough for a socket path."""
     place = Path(tempfile.mkdtemp(prefix="sweepscope-bench-"))
     try:
         yield place
@@ -92,7 +92,7 @@ def _place() -> Iterator[Path]:
 
 @contextmanager
 def _services(place: Path, shape: tuple[int, int]) -> Iterator[dict[str, int]]:
-    """Writer and worker as they run on a rig, ended afterwards; their pids by name."""
+    """Run writer and worker while inside; yields their pids by name."""
     settings = {"STORAGE__DATA_DIR": str(place), "CAMERA__HEIGHT": str(shape[0]), "CAMERA__WIDTH": str(shape[1])}
     environ = {**os.environ, "SWEEPSCOPE_RUN": str(place), **{f"SWEEPSCOPE_{key}": settings[key] for key in settings}}
     children: list[subprocess.Popen[bytes]] = []

@@ -1,4 +1,4 @@
-"""The benchmark's publisher: the daemon's lanes without a rig behind them, and when it saw what."""
+"""The publisher of the pipeline benchmark: the daemon's sockets without a rig, with the time of each milestone."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ STATUS_NS: Final = NS_PER_S // 5
 
 @dataclass
 class Marks:
-    """When what was reached, in ns of CLOCK_MONOTONIC; 0 not yet."""
+    """Time of each milestone in ns of CLOCK_MONOTONIC; 0 not reached yet."""
 
     begin_ns: int = 0
     sent_ns: int = 0
@@ -59,7 +59,7 @@ class Marks:
     live_unsent: int = 0
     counts: dict[str, int] = field(default_factory=dict)
     worker_s: dict[str, float] = field(default_factory=dict)
-    """Processor time of the worker by what it was spent on, as its report says."""
+    """Processor time of the worker by task, from its report."""
     cpu_s: dict[str, float] = field(default_factory=dict)
     """Processor time from the first frame until everything is on disk, by process."""
 
@@ -77,7 +77,7 @@ class Publisher:
         *,
         pictures: bool = False,
     ) -> None:
-        """``pictures``: the newest frame is shown to a subscriber as often as in a sweep."""
+        """``pictures``: a subscriber gets preview pictures, as often as in a sweep."""
         self._ring, self._frames = ring, frames
         self.preview = PreviewLane(bind(context, zmq.XPUB, place, "preview"))
         self._looks = connect(context, zmq.SUB, place, "preview") if pictures else None
@@ -147,7 +147,7 @@ class Publisher:
         return {name: cpu_seconds(pid) for name, pid in self._pids.items()}
 
     def _both_are_ready(self) -> bool:
-        # the live lane says nothing of its subscribers: ask until the worker answers
+        # a PUB socket does not report its subscribers: send until the worker answers
         if self.marks.progress is None:
             self._live.send(self._start)
         return self._lane.ready and self.marks.progress is not None
@@ -206,7 +206,7 @@ class Publisher:
                 marks.folded_ns = now_ns
         elif isinstance(message, ResultEnd) and marks.result_end is None:
             marks.result_end, marks.results_ns = message, message.sent_mono_ns
-            # progress is told ten times a second only; the end says how long ago the last frame was folded
+            # progress is published only ten times a second; the end has the time since the last frame was folded
             folded_ns = message.sent_mono_ns - round(message.seconds * NS_PER_S)
             marks.folded_ns = min(marks.folded_ns or folded_ns, folded_ns)
 

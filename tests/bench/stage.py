@@ -39,7 +39,7 @@ class Edge:
 
 
 class _Rig:
-    """A homed stage on a bench that logs every edge."""
+    """A homed stage on the emulator, which logs every edge."""
 
     def __init__(self, built: tuple[Path, Path], folder: Path, config: StageConfig, pace: float) -> None:
         self.emulator = Emulator(*built, pace=pace, limit_at=_LIMIT_AT)
@@ -95,7 +95,7 @@ class _Rig:
         return [edge for edge in found if edge.kind == "trigger"]
 
     def close(self) -> None:
-        """End stage and bench."""
+        """End stage and emulator."""
         self.stage.close()
         self.emulator.close()
 

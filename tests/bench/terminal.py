@@ -1,4 +1,4 @@
-"""Terminals for measuring: tmux as people use it, and a bare line that is as slow or as stuck as one wants."""
+"""Terminals for measuring: tmux, and a pseudo-terminal that is slow or stops reading."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _environment(run_dir: Path) -> dict[str, str]:
 
 
 class Tmux:
-    """A tmux server of its own with the console in its only window. A context manager."""
+    """A separate tmux server with the console in its only window. A context manager."""
 
     def __init__(self, run_dir: Path, size: tuple[int, int]) -> None:
         """Raises SweepscopeError where there is no tmux."""
@@ -66,10 +66,10 @@ class Tmux:
         self._do("send-keys", *keys)
 
     def wait_for(self, words: str, deadline_s: float = ANSWER_S) -> float:
-        """Seconds until ``words`` are on the screen (looked at every few ms).
+        """Seconds until ``words`` are on the screen (polled every few ms).
 
         Raises:
-            SweepscopeError: they never came.
+            SweepscopeError: they did not appear.
         """
         begin_s = time.monotonic()
         while words not in self._do("capture-pane", "-p"):
@@ -94,7 +94,7 @@ class Tmux:
 
 
 class BareLine:
-    """The console on a pseudo-terminal that is read at a given rate, answers its questions, and can be stuck."""
+    """The console on a pseudo-terminal that is read at a given rate, answers its queries, and can stop reading."""
 
     def __init__(self, run_dir: Path, size: tuple[int, int], rate_bytes_per_s: float) -> None:
         self._run_dir, self._size, self._rate = run_dir, size, rate_bytes_per_s
@@ -142,10 +142,10 @@ class BareLine:
         os.write(self._master, keys.encode())
 
     def effect_s(self, keys: str, words: str) -> float:
-        """Seconds from a key to ``words`` on the line.
+        """Seconds from a key to ``words`` in the output.
 
         Raises:
-            SweepscopeError: they never came.
+            SweepscopeError: they did not appear.
         """
         self._painted = ""
         begin_s = time.monotonic()
@@ -157,7 +157,7 @@ class BareLine:
         return time.monotonic() - begin_s
 
     def stick(self, keys: str) -> None:
-        """Read nothing any more, and type until the echoes fill the line: further output of the console blocks."""
+        """Stop reading, and type until the echoes fill the buffer: further output of the console blocks."""
         self.stuck = True
         before = -1
         end_s = time.monotonic() + ANSWER_S

@@ -1,7 +1,5 @@
 """Shared by the subcommands: the session of one invocation, common options, and output as text or as JSON."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 import dataclasses
@@ -12,15 +10,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
     from acquire.contract.config.load import LoadedConfig
     from tui.client.rig_client import RigClient
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 PATH = click.Path(path_type=Path)
@@ -66,6 +62,11 @@ class Session:
             where = remote_dir or client_run_dir()
             with RigClient(where, timeout_s=timeout_s, client=my_name_at_a_terminal()) as client:
                 yield client
+
+    def request(self, name: str, **args: Any) -> dict[str, Any]:
+        """The daemon's reply to one command (raises CommandRefusedError, NoServiceError)."""
+        with self.client() as client:
+            return client.request(name, **args).result
 
     @contextmanager
     def tunnel(self) -> Iterator[Path | None]:
@@ -144,10 +145,10 @@ _REMOTE_OPTIONS = (
 )
 
 
-def options(*several: Callable[[F], F]) -> Callable[[F], F]:
-    """One decorator of several options, which stand in the help in this order."""
+def options(*several: Callable[..., Any]) -> Callable[..., Any]:
+    """One decorator of several options; the help shows them in this order."""
 
-    def decorate(function: F) -> F:
+    def decorate(function: Any) -> Any:
         for option in reversed(several):
             function = option(function)
         return function
@@ -157,8 +158,8 @@ def options(*several: Callable[[F], F]) -> Callable[[F], F]:
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 remote_options = options(*_REMOTE_OPTIONS)
-rig_options = options(json_option, remote_options)
-"""Options of the commands that are sent to a daemon, on this machine or a remote one."""
+rig_options = options(json_option, remote_options, click.pass_obj)
+"""Options of a command for a daemon, on this machine or a remote one; the first argument is the session."""
 progress_option = click.option("--progress", "with_progress", is_flag=True, help="Report progress on stderr, as JSON.")
 force_option = click.option("--force", is_flag=True, help="Replace an existing file.")
 
@@ -171,6 +172,11 @@ def size_callback(_context: click.Context, _parameter: click.Parameter, value: s
         return None if value is None else parse_size(value)
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
+
+
+def request(session: Session, name: str, as_json: bool, /, **args: Any) -> None:
+    """Send a command to the daemon and print its reply."""
+    show_reply(name, session.request(name, **args), as_json)
 
 
 def show_reply(name: str, result: dict[str, Any], as_json: bool) -> None:

@@ -1,23 +1,18 @@
 """Subcommands for stage, lamp and camera, pre-scan, simulated specimen, and control of the rig."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from tui.commands.context import Session, json_option, print_json, rig_options, show_reply
-
-if TYPE_CHECKING:
-    from tui.client.rig_client import RigClient
+from tui.commands.context import Session, json_option, print_json, request, rig_options, show_reply
 
 _wait = click.option("--wait", is_flag=True, help="Return when it has ended; exit status 1 if it failed.")
 _SETTINGS = ("exposure_ms", "gain", "brightness_percent")
 
 
-def _move(session: Session, name: str, *, wait: bool, as_json: bool, args: dict[str, Any]) -> None:
+def _move(session: Session, name: str, wait: bool, as_json: bool, /, **args: int) -> None:
     """Request a move; with ``wait`` check that it ends at its target."""
     from acquire.contract.errors import SweepscopeError
     from tui.client.wait import until_rest
@@ -37,48 +32,41 @@ def _move(session: Session, name: str, *, wait: bool, as_json: bool, args: dict[
 @click.argument("position_steps", type=int)
 @_wait
 @rig_options
-@click.pass_obj
 def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage to POSITION_STEPS microsteps."""
-    _move(session, "goto", wait=wait, as_json=as_json, args={"position_steps": position_steps})
+    _move(session, "goto", wait, as_json, position_steps=position_steps)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("steps", type=int)
 @_wait
 @rig_options
-@click.pass_obj
 def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
     """Move the stage by STEPS microsteps (negative: back)."""
-    _move(session, "jog", wait=wait, as_json=as_json, args={"steps": steps})
+    _move(session, "jog", wait, as_json, steps=steps)
 
 
 @click.command()
 @_wait
 @rig_options
-@click.pass_obj
 def home(session: Session, wait: bool, as_json: bool) -> None:
     """Find the zero of the stage."""
-    _move(session, "home", wait=wait, as_json=as_json, args={})
+    _move(session, "home", wait, as_json)
 
 
 @click.command()
 @rig_options
-@click.pass_obj
 def zero(session: Session, as_json: bool) -> None:
     """Make the present position the zero of the stage."""
-    _move(session, "zero", wait=False, as_json=as_json, args={})
+    request(session, "zero", as_json)
 
 
 @click.command()
 @click.argument("switch", type=click.Choice(["on", "off"]))
 @rig_options
-@click.pass_obj
 def lamp(session: Session, switch: str, as_json: bool) -> None:
     """Switch the lamp on or off."""
-    with session.client() as client:
-        result = client.request("lamp", on=switch == "on").result
-    show_reply("lamp", result, as_json)
+    request(session, "lamp", as_json, on=switch == "on")
 
 
 @click.group()
@@ -88,11 +76,9 @@ def camera() -> None:
 
 @camera.command("show")
 @rig_options
-@click.pass_obj
 def camera_show(session: Session, as_json: bool) -> None:
     """Print each setting with its limits."""
-    with session.client() as client:
-        status = client.request("status").result
+    status = session.request("status")
     settings, limits = status["camera"], status["camera_limits"]
     if as_json:
         print_json({"camera": settings, "limits": limits})
@@ -120,25 +106,23 @@ def _settings(_context: click.Context, _parameter: click.Parameter, values: tupl
 @camera.command("set")
 @click.argument("settings", metavar="NAME=NUMBER...", nargs=-1, required=True, callback=_settings)
 @rig_options
-@click.pass_obj
 def camera_set(session: Session, settings: dict[str, float], as_json: bool) -> None:
     """Change settings, such as gain=12 exposure-ms=20; the others stay."""
-    with session.client() as client:
-        result = client.request("camera", **settings).result
-    show_reply("camera", result, as_json)
+    request(session, "camera", as_json, **settings)
 
 
-def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def _run(session: Session, name: str, wait: bool, /, **args: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Start an activity; with ``wait`` check that it succeeds. Returns the reply and the last status."""
     from acquire.contract.errors import SweepscopeError
     from tui.client.wait import until_rest
 
     failed = "activities_failed"
-    before = client.request("status").result["counters"].get(failed, 0)
-    result = client.request(name, **args).result
-    if not wait:
-        return result, {}
-    end = until_rest(client)
+    with session.client() as client:
+        before = client.request("status").result["counters"].get(failed, 0)
+        result = client.request(name, **args).result
+        if not wait:
+            return result, {}
+        end = until_rest(client)
     if end["counters"].get(failed, 0) != before:
         raise SweepscopeError(end["message"])
     return result, end
@@ -147,11 +131,9 @@ def _run(client: RigClient, name: str, args: dict[str, Any], *, wait: bool) -> t
 @camera.command("expose")
 @_wait
 @rig_options
-@click.pass_obj
 def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
     """Find the exposure once, with the light on the specimen, and keep it."""
-    with session.client() as client:
-        result, end = _run(client, "expose", {}, wait=wait)
+    result, end = _run(session, "expose", wait)
     if end:
         result = {"exposure_ms": end["camera"]["exposure_ms"], "message": end["message"]}
     show_reply("expose", result, as_json)
@@ -165,14 +147,12 @@ def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
 )
 @_wait
 @rig_options
-@click.pass_obj
 def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None:
     """Propose bounds and exposure from a coarse sweep.
 
     Pictures are taken at every n-th position. 'sweepscope scan --from-proposal' uses the proposal; 'sweepscope stop'
     ends it early."""
-    with session.client() as client:
-        result, end = _run(client, "prescan", args, wait=wait)
+    result, end = _run(session, "prescan", wait, **args)
     if not end:
         show_reply("prescan", result, as_json)
         return
@@ -188,14 +168,11 @@ def prescan(session: Session, /, wait: bool, as_json: bool, **args: Any) -> None
 @click.command()
 @click.argument("action", type=click.Choice(["take", "release"]))
 @rig_options
-@click.pass_obj
 def control(session: Session, action: str, as_json: bool) -> None:
     """Take control of the rig for this terminal, or give it back.
 
     It expires ten seconds after the holder's last command; a console keeps it while it runs."""
-    with session.client() as client:
-        result = client.request("control", action=action).result
-    show_reply("control", result, as_json)
+    request(session, "control", as_json, action=action)
 
 
 @camera.command("capture")
@@ -205,8 +182,7 @@ def control(session: Session, action: str, as_json: bool) -> None:
 @click.pass_obj
 def camera_capture(session: Session, path: str | None, wait: bool, as_json: bool) -> None:
     """Take one picture in full size as PATH, a .png within the folder of scans [captures/<time>.png there]."""
-    with session.client() as client:
-        result, _ = _run(client, "capture", {"path": path}, wait=wait)
+    result, _ = _run(session, "capture", wait, path=path)
     show_reply("capture", result, as_json)
 
 
@@ -222,8 +198,7 @@ def specimen(session: Session, /, object_: str | None, wait: bool, as_json: bool
     """Change or tilt the specimen of the simulated rig.
 
     Options that are left out keep their value."""
-    with session.client() as client:
-        result, _ = _run(client, "specimen", {"object": object_, **args}, wait=wait)
+    result, _ = _run(session, "specimen", wait, object=object_, **args)
     show_reply("specimen", result, as_json)
 
 

@@ -1,7 +1,5 @@
 """Subcommands on scan files: import, reconstruct, page, verify, info, recover. They need no service."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -27,8 +25,8 @@ _SCAN = click.argument("scan", type=PATH)
 def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | None, as_json: bool) -> None:
     """Make a scan file from a folder of pictures.
 
-    png, bmp, jpg and tif are taken in natural order of their names. A projector.txt of the original program beside
-    them tells the travel per frame."""
+    png, bmp, jpg and tif are read in natural order of their names. A projector.txt of the original program in the
+    folder gives the travel per frame."""
     from acquire.importing.folder import import_folder
 
     summary = import_folder(frames_dir, target, force=force, um_per_frame=um_per_frame)
@@ -61,8 +59,8 @@ def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: objec
 
 @click.command()
 @_SCAN
-@click.option("--results", type=PATH, help="Folder of maps.h5 and report.json [beside the .h5].")
-@click.option("--out", type=PATH, help="File to write [report.html beside the results].")
+@click.option("--results", type=PATH, help="Folder of maps.h5 and report.json [next to the .h5].")
+@click.option("--out", type=PATH, help="File to write [report.html next to the results].")
 def page(scan: Path, results: Path | None, out: Path | None) -> None:
     """Show a scan and its results on one HTML page.
 

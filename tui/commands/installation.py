@@ -1,7 +1,5 @@
 """Subcommands for the installation: install, uninstall, doctor, logs, report, and the effective configuration."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path

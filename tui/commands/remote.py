@@ -1,7 +1,5 @@
 """Subcommands for remote access over TCP: keys and gateway."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Subcommands on the folder of scans: scans, notes, copy, trash. A scan that is being written is never touched."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Subcommands that start processes: the four services, all of them at once (`up`), the console, the demonstration."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path

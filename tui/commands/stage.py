@@ -1,7 +1,5 @@
 """Subcommands for the stage's controller. The daemon must not run: only one program can open the serial port."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 import click

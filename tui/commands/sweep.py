@@ -1,7 +1,5 @@
 """Subcommands for sweeps: status, scan, estimate, pause, resume, stop. The running daemon does the work."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -9,12 +7,11 @@ from typing import Any
 
 import click
 
-from tui.commands.context import PATH, Session, json_option, options, print_json, rig_options, show_reply
+from tui.commands.context import PATH, Session, json_option, options, print_json, request, rig_options
 
 
 @click.command()
 @rig_options
-@click.pass_obj
 def status(session: Session, as_json: bool) -> None:
     """Show what the rig is doing."""
     from tui.text.status_text import status_lines
@@ -50,7 +47,6 @@ _plan_options = options(
 @click.option("--from-proposal", is_flag=True, help="Take bounds and exposure from the last pre-scan.")
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @rig_options
-@click.pass_obj
 def scan(
     session: Session, /, wait: bool, from_proposal: bool, as_json: bool, tags: tuple[str, ...], **args: Any
 ) -> int:
@@ -66,13 +62,12 @@ def scan(
 @click.argument("scan", required=False, type=PATH)
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @rig_options
-@click.pass_obj
 def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> int:
     """Resume a held sweep, or the interrupted sweep SCAN.
 
     An interrupted sweep goes on after its last committed frame, and only if that frame, taken again, shows the same."""
     if scan is None:
-        _request(session, "resume", as_json)
+        request(session, "resume", as_json)
         return 0
     return _run(session, "resume_scan", wait, as_json, path=str(scan if session.remote.address else scan.resolve()))
 
@@ -102,11 +97,10 @@ def _proposed(session: Session) -> dict[str, Any]:
     """The bounds of the last pre-scan; sets the camera to its exposure."""
     from acquire.contract.errors import CommandRefusedError
 
-    with session.client() as client:
-        found = client.request("status").result.get("proposal")
-        if found is None:
-            raise CommandRefusedError("there is no proposal: run 'sweepscope prescan --wait' first")
-        client.request("camera", exposure_ms=found["exposure_ms"])
+    found = session.request("status").get("proposal")
+    if found is None:
+        raise CommandRefusedError("there is no proposal: run 'sweepscope prescan --wait' first")
+    session.request("camera", exposure_ms=found["exposure_ms"])
     return {"first_steps": found["first_steps"], "last_steps": found["last_steps"]}
 
 
@@ -120,8 +114,7 @@ def estimate(session: Session, /, as_json: bool, tags: tuple[str, ...], **args: 
     Nothing is written and nothing moves. A plan that 'scan' would refuse is refused here with the same message."""
     from acquire.contract.units import format_bytes, format_duration
 
-    with session.client() as client:
-        found = client.request("estimate", **args, tags=list(tags) or None).result
+    found = session.request("estimate", **args, tags=list(tags) or None)
     if as_json:
         print_json(found)
         return
@@ -138,18 +131,11 @@ def _show_started(result: dict[str, Any], as_json: bool) -> None:
         click.echo(f"sweep of {result.get('expected', '?')} frames into {result.get('path', '?')}")
 
 
-def _request(session: Session, name: str, as_json: bool) -> None:
-    with session.client() as client:
-        result = client.request(name).result
-    show_reply(name, result, as_json)
-
-
 def _command_without_arguments(name: str, manual: str) -> click.Command:
     @click.command(name, help=manual)
     @rig_options
-    @click.pass_obj
     def command(session: Session, as_json: bool) -> None:
-        _request(session, name, as_json)
+        request(session, name, as_json)
 
     return command
 

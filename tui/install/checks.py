@@ -164,9 +164,7 @@ def check_clock(now: datetime, set_by_network: bool | None) -> DoctorFinding:
         set_by_network: the clock is synchronised; None: not known.
     """
     if now.year < OLDEST_YEAR:
-        return DoctorFinding(
-            "clock", "wrong", f"the clock says {now:%Y-%m-%d}", "set it: sudo timedatectl set-ntp true"
-        )
+        return DoctorFinding("clock", "wrong", f"the date is {now:%Y-%m-%d}", "set it: sudo timedatectl set-ntp true")
     if set_by_network is False:
         return DoctorFinding("clock", "note", "the clock is not set by the network", "sudo timedatectl set-ntp true")
     return DoctorFinding("clock", "ok", f"{now:%Y-%m-%d %H:%M} UTC")

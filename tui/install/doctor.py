@@ -87,7 +87,7 @@ def check_calibration(name: str, camera_kind: str, now: datetime) -> DoctorFindi
     """The calibration exists, can be read, and is not too old."""
     if not name:
         if camera_kind == "simulated":
-            return DoctorFinding("calibration", "ok", "the simulated rig knows its own")
+            return DoctorFinding("calibration", "ok", "built into the simulated rig")
         return DoctorFinding("calibration", "note", "none: maps, no cloud", "set reconstruct.calibration")
     path = Path(name).expanduser()
     try:

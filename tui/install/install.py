@@ -32,7 +32,7 @@ from tui.install.systemd import (
 OWNER = "sweepscope"
 """User and group of the services."""
 Step = tuple[str, Callable[[], Any]]
-"""What is done, in words, and the function that does it."""
+"""Description of a step, and the function that does it."""
 
 
 @dataclass(frozen=True)

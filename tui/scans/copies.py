@@ -46,7 +46,7 @@ def copies_of(folder: Path) -> tuple[Copied, ...]:
     path = folder / COPIES_NAME
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no list of ours")
+            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no list of copies")
         return msgspec.json.decode(path.read_bytes(), type=tuple[Copied, ...])
     except FileNotFoundError:
         return ()

@@ -7,7 +7,7 @@ import click
 from .camera import camera
 from .checks import check, rezero
 from .original import import_original
-from .plane import plane, reference_planes_command, refit
+from .plane import plane, reference_planes, refit
 from .quarter_circle import quarter_circle
 from .response import response
 from .watch import watch
@@ -24,7 +24,7 @@ for _command in (
     plane,
     refit,
     quarter_circle,
-    reference_planes_command,
+    reference_planes,
     check,
     rezero,
     watch,

@@ -1,7 +1,5 @@
 """The subcommand that calibrates the camera from pictures of a board."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,33 +8,30 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.options import PATH, board_of, force_option, size_option
-from tui.commands.context import json_option, print_json
+from tui.commands.calibrate.shared import PICTURE_SUFFIXES, board_of, out_option, read_grey, save, views_options
+from tui.commands.context import PATH, force_option, json_option
 
 if TYPE_CHECKING:
     from process.calibration.camera.calibrate import CameraResult
 
-SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
-
 
 def read_pictures(images: tuple[Path, ...]) -> list[tuple[str, Any]]:
-    """Named pictures (grey or RGB) of files and folders, in natural order.
+    """The pictures in files and folders as (name, grey levels), in natural order of their names.
 
     Raises:
         CalibrationError: no picture, or one that cannot be read.
     """
-    import cv2
     from natsort import natsorted
 
     files: list[Path] = []
     for place in images:
         if place.is_dir():
-            files += natsorted(entry for entry in place.iterdir() if entry.suffix.lower() in SUFFIXES)
+            files += natsorted(entry for entry in place.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES)
         else:
             files.append(place)
     pictures = []
     for file in files:
-        pixels = cv2.imread(str(file), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        pixels = read_grey(file)
         if pixels is None:
             raise CalibrationError(f"{file} is no picture that can be read: leave it out")
         pictures.append((file.name, pixels))
@@ -47,18 +42,16 @@ def read_pictures(images: tuple[Path, ...]) -> list[tuple[str, Any]]:
 
 @click.command()
 @click.argument("images", nargs=-1, required=True, type=PATH)
-@click.option("--squares", required=True, metavar="CxR", callback=size_option, help="Squares (or dots) of the board.")
-@click.option("--square-mm", required=True, type=float, help="Side of a square, or distance of two dots, in mm.")
-@click.option("--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True)
+@views_options
 @click.option(
     "--corners",
     type=click.Choice(["auto", "saddle", "sector", "gradient"]),
     default="auto",
     show_default=True,
-    help="Estimate of a chessboard's corners.",
+    help="Method that locates a chessboard's corners.",
 )
-@click.option("--stage", metavar="VIEW", help="Name of the picture with the board lying flat: it makes z = 0.")
-@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@click.option("--stage", metavar="VIEW", help="Name of the picture with the board lying flat: it defines z = 0.")
+@out_option
 @force_option
 @json_option
 def camera(
@@ -74,25 +67,20 @@ def camera(
 ) -> None:
     """Calibrate the camera from pictures of a board in different tilts.
 
-    IMAGES are files or folders. Views that hurt are left out, with the reason."""
-    from process.calibration.calibration_file import new_document, write_document
+    IMAGES are files or folders. Views that degrade the fit are left out, with the reason."""
+    from process.calibration.calibration_file import new_document
     from process.calibration.camera.calibrate import calibrate_camera
-    from process.calibration.report_page import camera_page, write_page
+    from process.calibration.report_page import camera_page
 
     name = Path(stage).name if stage else None
     result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name, corners)
-    document = new_document(result.document())
-    write_document(out, document, force=force)
-    page = out.with_name(f"{out.stem}-camera.html")
-    write_page(page, camera_page(result, camera_words(result)))
-    if as_json:
-        print_json({"out": out, "report": page, "camera": document["camera"]})
-        return
-    click.echo("\n".join([*camera_words(result), str(out), str(page)]))
+    document, lines = new_document(result.document()), camera_lines(result)
+    page = ("camera", camera_page(result, lines))
+    save(out, document, lines, force=force, as_json=as_json, section="camera", page=page)
 
 
-def camera_words(result: CameraResult) -> list[str]:
-    """The result for people, one line each."""
+def camera_lines(result: CameraResult) -> list[str]:
+    """The result as lines of text."""
     fit, sd = result.fit, result.sd
     fx, fy, cx, cy = fit.intrinsics[:4]
     terms = ", ".join(

@@ -1,6 +1,4 @@
-"""The subcommands that check a calibration with a sweep, and move its plane after homing."""
-
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+"""The subcommands that check a calibration with a sweep, and shift its light plane after homing."""
 
 from __future__ import annotations
 
@@ -10,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.options import PATH, board_of, force_option, size_option
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.calibrate.shared import board_of
+from tui.commands.context import PATH, Session, force_option, json_option, print_json, size_callback
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration, TranslatingPlane
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
 def _checked(
     scan: Path, calibration_file: Path, squares: tuple[int, int] | None, square_mm: float | None
 ) -> CheckResult:
-    """A sweep over the board, or over a flat where no board is described, against a calibration."""
+    """Compare a sweep over the board, or over a flat if no board is described, with a calibration."""
     from process.calibration.check.planarity import check_surface
     from process.calibration.light_plane.surfaces import board_surface, flat_surface
 
@@ -35,7 +33,7 @@ def _checked(
 
 
 def _folded(scan: Path, calibration_file: Path) -> tuple[FoldedSweep, Calibration, TranslatingPlane]:
-    """A sweep, folded as a calibration's light plane was, and both."""
+    """A sweep, folded as the calibration's own sweeps were; the calibration; its light plane."""
     from acquire.contract.calibration import TranslatingPlane, check_size, load_calibration
     from process.calibration.light_plane.sweeps import fold_sweep
 
@@ -51,10 +49,10 @@ def _folded(scan: Path, calibration_file: Path) -> tuple[FoldedSweep, Calibratio
 @click.command()
 @click.argument("scan", type=PATH)
 @click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to check.")
-@click.option("--squares", metavar="CxR", callback=size_option, help="Squares of the board in SCAN; without: a flat.")
+@click.option("--squares", metavar="CxR", callback=size_callback, help="Squares of the board in SCAN; without: a flat.")
 @click.option("--square-mm", type=float, help="Side of a square in mm.")
-@click.option("--again", type=PATH, help="A second sweep over the same thing: repeatability.")
-@click.option("--sphere-mm", type=float, multiple=True, help="SCAN shows a sphere of this diameter; once or twice.")
+@click.option("--again", type=PATH, help="A second sweep over the same object: repeatability.")
+@click.option("--sphere-mm", type=float, multiple=True, help="Diameter of a sphere in SCAN; once or twice.")
 @click.option("--spacing-mm", type=float, help="Known distance of two spheres.")
 @click.option("--limit-um", type=float, help="Limit of all figures in um, instead of rig.toml's [check].")
 @json_option
@@ -133,10 +131,10 @@ def _repeated(scan: Path, again: Path, calibration_file: Path) -> Repeatability:
 
 @click.command()
 @click.argument("scan", type=PATH)
-@click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to move.")
-@click.option("--squares", required=True, metavar="CxR", callback=size_option, help="Squares of the board in SCAN.")
+@click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to shift.")
+@click.option("--squares", required=True, metavar="CxR", callback=size_callback, help="Squares of the board in SCAN.")
 @click.option("--square-mm", required=True, type=float, help="Side of a square in mm.")
-@click.option("--out", required=True, type=PATH, help="Where the moved calibration goes.")
+@click.option("--out", required=True, type=PATH, help="File for the shifted calibration.")
 @force_option
 @json_option
 def rezero(
@@ -148,7 +146,7 @@ def rezero(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Move a light plane after homing: one sweep over the board lying anyhow."""
+    """Shift a light plane after homing, from one sweep over the board in any pose."""
     from process.calibration.calibration_file import read_document, utc_now, write_document
     from process.calibration.light_plane.recipe import rezeroed
 

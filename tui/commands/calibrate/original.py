@@ -1,28 +1,28 @@
 """The subcommand that converts files of the original program."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
 
-from tui.commands.calibrate.options import PATH, force_option, size_option
-from tui.commands.context import json_option, print_json
+from tui.commands.calibrate.shared import out_option
+from tui.commands.context import PATH, force_option, json_option, print_json, size_callback
 
 
 @click.command("import-original")
 @click.argument("calibration_txt", metavar="CALIBRATION.TXT", type=PATH)
 @click.option("--projector", type=PATH, help="projector.txt of the sequence; without it: the camera only.")
-@click.option("--size", default="1024x768", show_default=True, callback=size_option, help="Size of the pictures.")
-@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@click.option("--size", default="1024x768", show_default=True, callback=size_callback, help="Size of the pictures.")
+@out_option
 @force_option
 @json_option
 def import_original(
     calibration_txt: Path, projector: Path | None, size: tuple[int, int], out: Path, force: bool, as_json: bool
 ) -> None:
-    """Convert files of the original program to calibration.json; points come out the same."""
+    """Convert files of the original program to calibration.json.
+
+    Points come out the same."""
     from process.calibration.calibration_file import new_document, write_document
     from process.calibration.original_program import light_plane, read_calibration_txt, read_projector_txt
 

@@ -1,6 +1,4 @@
-"""The subcommands that calibrate the light plane: from sweeps over boards, and from two reference planes."""
-
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+"""The subcommands that calibrate the light plane from sweeps over boards, or from two reference planes."""
 
 from __future__ import annotations
 
@@ -11,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.options import EDGES, METHODS, PATH, board_of, force_option, size_option
-from tui.commands.context import json_option, print_json
+from tui.commands.calibrate.shared import METHOD, board_of, camera_option, edge_option, method_option, out_option, save
+from tui.commands.context import PATH, force_option, json_option, size_callback
 
 if TYPE_CHECKING:
     from process.calibration.light_plane.from_sweeps import PlaneResult
@@ -20,15 +18,15 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scans", nargs=-1, type=PATH)
-@click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
-@click.option("--squares", metavar="CxR", callback=size_option, help="Squares of the board in SCANS.")
+@camera_option
+@click.option("--squares", metavar="CxR", callback=size_callback, help="Squares of the board in SCANS.")
 @click.option("--square-mm", type=float, help="Side of a square in mm.")
 @click.option("--flat", multiple=True, type=PATH, help="Sweep over a matt white flat of any height; may be repeated.")
-@click.option("--method", type=METHODS, default="auto", show_default=True, help="Crossing estimate.")
-@click.option("--edge", type=EDGES, default="rising", show_default=True)
+@method_option
+@edge_option
 @click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, counts of 8 bit [70].")
-@click.option("--days", type=float, default=30.0, show_default=True, help="How long it is meant to be used.")
-@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@click.option("--days", type=float, default=30.0, show_default=True, help="Validity of the calibration.")
+@out_option
 @force_option
 @json_option
 def plane(
@@ -48,33 +46,28 @@ def plane(
     """Calibrate the light plane from sweeps over the board, flat and tilted.
 
     SCANS show the board: once lying flat, and tilted by 10 to 20 degrees both ways (a small board needs both). Light
-    and corners together tell the poses, and say how well points will be known. A surface that contradicts the others
-    by more than 1 um fails; --force writes the calibration all the same."""
-    from process.calibration.calibration_file import read_document, write_document
+    and corners together give the poses, and the expected accuracy of points. A surface that disagrees with the others
+    by more than 1 um fails the calibration; --force writes it nevertheless."""
+    from process.calibration.calibration_file import read_document
     from process.calibration.light_plane.recipe import SweepRecipe, make_plane, with_plane
-    from process.calibration.report_page import plane_page, write_page
+    from process.calibration.report_page import plane_page
 
     if not scans or squares is None or square_mm is None:
-        raise CalibrationError("name sweeps over the board, with --squares and --square-mm: flats alone cannot do")
+        raise CalibrationError("name sweeps over the board, with --squares and --square-mm: flats alone do not suffice")
     board = board_of(squares, square_mm)
     recipe = SweepRecipe(
         _absolute(scans), board.columns, board.rows, square_mm, _absolute(flat), edge, contrast,  # type: ignore[arg-type]
     )  # fmt: skip
     document = read_document(camera_file)
     result = make_plane(recipe, document, method)
+    lines = plane_lines(result)
     if not as_json:
-        click.echo("\n".join(plane_words(result)))
+        click.echo("\n".join(lines))
     if not result.ok and not force:
         bad = next(surface for surface in result.surfaces if not surface.ok)
-        raise CalibrationError(f"failed, nothing was written: {bad.name}: {bad.cause} (--force writes it all the same)")
-    document = with_plane(document, result, recipe, days)
-    write_document(out, document, force=force or out == camera_file)
-    page = out.with_name(f"{out.stem}-plane.html")
-    write_page(page, plane_page(result, plane_words(result)))
-    if as_json:
-        print_json({"out": out, "report": page, "light_plane": document["light_plane"]})
-    else:
-        click.echo(f"{out}\n{page}")
+        raise CalibrationError(f"failed, nothing was written: {bad.name}: {bad.cause} (--force writes it nevertheless)")
+    document, page = with_plane(document, result, recipe, days), ("plane", plane_page(result, lines))
+    save(out, document, [], force=force or out == camera_file, as_json=as_json, page=page)
 
 
 def _absolute(paths: tuple[Path, ...]) -> tuple[str, ...]:
@@ -83,25 +76,23 @@ def _absolute(paths: tuple[Path, ...]) -> tuple[str, ...]:
 
 @click.command()
 @click.argument("calibration", type=PATH)
-@click.option("--method", type=METHODS, required=True, help="Crossing estimate to make it again with.")
-@click.option("--out", required=True, type=PATH, help="Where the calibration goes.")
+@click.option("--method", type=METHOD, required=True, help="Crossing estimate to use.")
+@click.option("--out", required=True, type=PATH, help="File for the new calibration.")
 @force_option
 @json_option
 def refit(calibration: Path, method: str, out: Path, force: bool, as_json: bool) -> None:
-    """Make a light plane again from its own stored sweeps, with another estimate of the crossings."""
-    from process.calibration.calibration_file import read_document, write_document
+    """Repeat a light plane calibration with another crossing estimate.
+
+    The sweeps that it was made from must still be there."""
+    from process.calibration.calibration_file import read_document
     from process.calibration.light_plane.recipe import refit as make_again
 
     made = make_again(read_document(calibration), method)
-    write_document(out, made.document, force=force)
-    if as_json:
-        print_json({"out": out, "light_plane": made.document["light_plane"]})
-        return
-    click.echo("\n".join([*plane_words(made.result), str(out)]))
+    save(out, made.document, plane_lines(made.result), force=force, as_json=as_json)
 
 
-def plane_words(result: PlaneResult) -> list[str]:
-    """The result for people, one line each."""
+def plane_lines(result: PlaneResult) -> list[str]:
+    """The result as lines of text."""
     lines = [
         f"{s.name}: {s.pixels} pixels, mean residual {s.mean_um:+.2f} um, RMS {s.rms_um:.2f} um, "
         f"trend {s.slope_um:.2f} um, bend {s.bend_um:.2f} um, {100 * s.outlier_share:.0f} % left out"
@@ -128,15 +119,15 @@ def plane_words(result: PlaneResult) -> list[str]:
 
 @click.command("reference-planes")
 @click.argument("scan", type=PATH)
-@click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
+@camera_option
 @click.option("--planes", "planes_file", required=True, type=PATH, help="JSON with reference_planes.")
-@click.option("--method", type=METHODS, default="auto", show_default=True, help="Crossing estimate.")
-@click.option("--edge", type=EDGES, default="rising", show_default=True)
+@method_option
+@edge_option
 @click.option("--contrast", type=click.IntRange(0, 255), default=50, show_default=True)
-@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@out_option
 @force_option
 @json_option
-def reference_planes_command(
+def reference_planes(
     scan: Path,
     camera_file: Path,
     planes_file: Path,
@@ -152,7 +143,7 @@ def reference_planes_command(
     The planes' file holds {"reference_planes": {"marker_rectangle_mm": [w, h], NAME: {"marker_corners_px": 4 x [x, y],
     "image_region_px": [left, right, top, bottom]}, NAME: ...}}."""
     from acquire.contract.calibration import check_size, load_calibration
-    from process.calibration.calibration_file import read_document, write_document
+    from process.calibration.calibration_file import read_document
     from process.calibration.light_plane.sweeps import fold_sweep
     from process.calibration.light_plane.uncertainty import camera_covariance
     from process.calibration.reference_planes.calibrate import fit_reference_planes, read_planes
@@ -172,15 +163,14 @@ def reference_planes_command(
         )  # fmt: skip
         result = replace(result, camera_sd=spread)
     document["light_plane"] = result.document()
-    write_document(out, document, force=force)
     skew = sorted(result.skew_mm.tolist())
-    words = (
+    lines = [
         f"planes for frames {result.planes[0].t} to {result.planes[-1].t} (1-based); the two lines of a frame miss "
         f"each other by {skew[len(skew) // 2]:.2f} mm (median), {skew[-1]:.2f} mm at most"
-    )
+    ]
     if result.camera_sd is not None:
-        words += (
-            f"\nthe camera's uncertainty alone moves them by {result.camera_sd[0]:.2f} mm at the middle of the scene "
+        lines.append(
+            f"the camera's uncertainty alone moves them by {result.camera_sd[0]:.2f} mm at the middle of the scene "
             f"and turns them by {result.camera_sd[1]:.3f} degrees (standard deviations)"
         )
-    print_json({"out": out, "light_plane": document["light_plane"]}) if as_json else click.echo(f"{words}\n{out}")
+    save(out, document, lines, force=force, as_json=as_json)

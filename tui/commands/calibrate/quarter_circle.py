@@ -1,7 +1,5 @@
 """The subcommand that calibrates the light plane from the slide's quarter circle on a white flat."""
 
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.options import PATH, force_option
-from tui.commands.context import json_option, print_json
+from tui.commands.calibrate.shared import camera_option, out_option, save
+from tui.commands.context import PATH, force_option, json_option
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration
@@ -20,19 +18,19 @@ if TYPE_CHECKING:
 
 
 DAYS = 30.0
-"""How long such a calibration is meant to be used."""
+"""Validity of such a calibration."""
 
 
 @click.command("quarter-circle")
 @click.argument("scan", type=PATH)
-@click.option("--camera", "camera_file", required=True, type=PATH, help="Calibration with the camera.")
+@camera_option
 @click.option("--height-mm", type=float, default=0.0, show_default=True, help="Height of the white flat above z = 0.")
 @click.option("--points", type=PATH, help="Clicked points instead, JSON or CSV: point,frame,x,y.")
-@click.option("--compare", type=PATH, help="Calibration whose light plane is set beside this one [the camera's file].")
+@click.option("--compare", type=PATH, help="Calibration to compare the light plane with [the camera's file].")
 @click.option("--hs-mm", type=float, default=3.81, show_default=True, help="Radius of the slide's quarter circle.")
 @click.option("--focal-mm", type=float, default=50.0, show_default=True, help="Focal length f of the projector's lens.")
 @click.option("--xb-mm", type=float, default=102.32, show_default=True, help="Distance xb of slide and lens.")
-@click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+@out_option
 @force_option
 @json_option
 def quarter_circle(
@@ -50,13 +48,13 @@ def quarter_circle(
 ) -> None:
     """Calibrate the light plane from the slide's pattern, as it sweeps over a white flat.
 
-    The corner, both straight edges and the arc are found in every frame. Points given by hand are the fall-back:
+    The corner, both straight edges and the arc are detected in every frame. Points given by hand are an alternative:
     corner in two frames or more, lead_end (end of the leading edge) and side_end (end of the other one)."""
     from acquire.contract.calibration import load_calibration
     from acquire.contract.scan_data.file_layout import read_layout
-    from process.calibration.calibration_file import read_document, utc_now, write_document
+    from process.calibration.calibration_file import read_document, utc_now
     from process.calibration.quarter_circle.optics import Slide
-    from process.calibration.report_page import quarter_circle_page, write_page
+    from process.calibration.report_page import quarter_circle_page
 
     if min(hs_mm, focal_mm, xb_mm) <= 0:
         raise CalibrationError("the sizes of the slide are positive: see --hs-mm, --focal-mm, --xb-mm")
@@ -67,14 +65,9 @@ def quarter_circle(
     document = read_document(camera_file)
     document["light_plane"] = result.document()
     document["valid_for"] = {"created_utc": utc_now(), "days": DAYS, "zero_id": read_layout(scan).zero_id or None}
-    words = quarter_circle_words(result, between)
-    write_document(out, document, force=force or out == camera_file)
-    page = out.with_name(f"{out.stem}-quarter-circle.html")
-    write_page(page, quarter_circle_page(result, words, between))
-    if as_json:
-        print_json({"out": out, "report": page, "light_plane": document["light_plane"], "difference": between})
-        return
-    click.echo("\n".join([*words, str(out), str(page)]))
+    lines = quarter_circle_lines(result, between)
+    page = ("quarter-circle", quarter_circle_page(result, lines, between))
+    save(out, document, lines, force=force or out == camera_file, as_json=as_json, page=page, difference=between)
 
 
 def _found(scan: Path, known: Calibration, slide: object, points: Path | None, height_mm: float) -> QuarterCircle:
@@ -104,8 +97,8 @@ def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, n
     return difference(other.light_plane, own, known.camera)
 
 
-def quarter_circle_words(result: QuarterCircle, between: Difference | None) -> list[str]:
-    """The result for people, one line each."""
+def quarter_circle_lines(result: QuarterCircle, between: Difference | None) -> list[str]:
+    """The result as lines of text."""
     import numpy as np
 
     n, (lead, side) = result.normal, result.lengths_mm

@@ -1,6 +1,4 @@
-"""The subcommand that finds out how the camera answers to light, from a series of exposures."""
-
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+"""The subcommand that measures the response of the camera to light, from a series of exposures."""
 
 from __future__ import annotations
 
@@ -11,9 +9,8 @@ from typing import Any
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.camera import SUFFIXES
-from tui.commands.calibrate.options import PATH
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.calibrate.shared import PICTURE_SUFFIXES
+from tui.commands.context import PATH, Session, json_option, print_json
 
 TABLE = "exposures.csv"
 _IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)\s*ms", re.IGNORECASE)
@@ -53,7 +50,7 @@ def _from_folder(folder: Path) -> tuple[list[tuple[float, Any]], int]:
 
     table = _table(folder / TABLE)
     try:
-        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES)
     except OSError as error:
         raise CalibrationError(f"cannot read {folder}: {error.strerror}") from None
     series = []

@@ -1,6 +1,4 @@
-"""The subcommand that looks for the board in the preview while views are collected, and says what is missing."""
-
-# ruff: noqa: PLC0415 - imports happen when a command runs, so that --help is quick
+"""The subcommand that searches the board in the preview while views are captured, and says which are missing."""
 
 from __future__ import annotations
 
@@ -9,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tui.commands.calibrate.options import PATH, board_of, size_option
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.calibrate.shared import board_of, read_grey, views_options
+from tui.commands.context import PATH, Session, json_option, print_json
 
 if TYPE_CHECKING:
     from process.calibration.board.detection import Board
@@ -18,15 +16,13 @@ if TYPE_CHECKING:
 
 MOST_AT_ONCE = 100
 PAUSE_S = 0.2
-"""Rest between two looks: detection must not take the machine from a worker."""
+"""Pause between two detections: they must not take processor time from a worker."""
 
 
 @click.command()
-@click.option("--squares", required=True, metavar="CxR", callback=size_option, help="Squares (or dots) of the board.")
-@click.option("--square-mm", required=True, type=float, help="Side of a square, or distance of two dots, in mm.")
-@click.option("--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True)
+@views_options
 @click.option("--views", type=PATH, help="Folder of the views captured so far.")
-@click.option("--once", is_flag=True, help="Judge the views and end, without looking at the camera.")
+@click.option("--once", is_flag=True, help="Evaluate the views and end, without the camera.")
 @json_option
 @click.pass_obj
 def watch(
@@ -38,15 +34,15 @@ def watch(
     once: bool,
     as_json: bool,
 ) -> None:
-    """Look for the board in the camera's preview, and say which view is missing.
+    """Detect the board in the camera's preview.
 
-    Runs until Ctrl-C; each line says how the board lies now, what the views in the folder cover, and what to do next.
-    Turn the preview on first (the console's calibrate screen does)."""
+    Runs until Ctrl-C; each line describes the pose of the board, what the captured views cover, and which view is
+    missing. Turn the preview on first (the console's calibrate screen does)."""
     import os
 
     os.nice(5)
     board = board_of(squares, square_mm, kind)
-    collected = Views(board, views)
+    collected = CapturedViews(board, views)
     say = print_json if as_json else _say_words
     if once:
         collected.look()
@@ -55,15 +51,15 @@ def watch(
     _watch(session, board, collected, say)
 
 
-class Views:
-    """The captured views of a folder; each is looked at once."""
+class CapturedViews:
+    """The captured views of a folder; the board is searched once in each."""
 
     def __init__(self, board: Board, folder: Path | None) -> None:
         self._board, self._folder = board, folder
         self._known: dict[tuple[str, int], ViewFacts] = {}
 
     def look(self) -> bool:
-        """Look at what is new; True if anything has changed."""
+        """Read new views; True if the set of views has changed."""
         from natsort import natsorted
 
         before = set(self._known)
@@ -79,17 +75,15 @@ class Views:
         return set(found) != before
 
     def _read(self, path: Path) -> ViewFacts:
-        import cv2
-
         from process.calibration.board.guidance import ViewFacts, look
 
-        pixels = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        pixels = read_grey(path)
         if pixels is None:
             return ViewFacts(path.name, found=False, reason="it is no picture that can be read")
         return look(path.name, pixels, self._board)
 
     def facts(self, live: ViewFacts | None) -> dict[str, Any]:
-        """Everything that a screen shows."""
+        """All facts that the console shows."""
         from process.calibration.board.guidance import guide, live_words
 
         views = list(self._known.values())
@@ -109,7 +103,7 @@ class Views:
         }
 
 
-def _watch(session: Session, board: Board, collected: Views, say: Any) -> None:
+def _watch(session: Session, board: Board, collected: CapturedViews, say: Any) -> None:
     import time
 
     import zmq
@@ -147,4 +141,4 @@ def _say_words(facts: dict[str, Any]) -> None:
         click.echo(f"{view['name']}: {view['words']}")
     for row in facts["coverage"]:
         click.echo("  " + " ".join(f"{count:>2}" for count in row))
-    click.echo("\n".join(facts["advice"]) or "there is enough: 'sweepscope calibrate camera' can begin")
+    click.echo("\n".join(facts["advice"]) or "the views suffice: run 'sweepscope calibrate camera'")

@@ -1,4 +1,4 @@
-"""The doctor: each check says what is right and what is wrong, and each problem comes with a fix."""
+"""The doctor: each check finds the problem, and each problem comes with a fix."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_sixteen_bits_are_twice_as_many_bytes_per_second() -> None:
     ("year", "by_network", "expected"),
     [(1970, None, "wrong"), (2026, False, "note"), (2026, True, "ok"), (2026, None, "ok")],
 )
-def test_a_clock_that_nobody_set_is_noticed(year: int, by_network: bool | None, expected: str) -> None:
+def test_a_clock_that_is_not_set_is_found(year: int, by_network: bool | None, expected: str) -> None:
     assert level(check_clock(NOW.replace(year=year), by_network)) == expected
 
 
@@ -174,7 +174,7 @@ def test_sockets_are_there_and_closed_to_others(tmp_path: Path) -> None:
     assert level(check_sockets(nobody)) == "wrong"
 
 
-def test_services_answer_and_have_no_fault_that_nobody_saw() -> None:
+def test_services_answer_and_have_no_unacknowledged_fault() -> None:
     fault = FaultReport(code="F03", happened="writer lost", safe="all", to_do="wait")
     assert level(check_services(READY, "")) == "ok"
     assert level(check_services(None, "no rig daemon answers")) == "wrong"

@@ -36,7 +36,7 @@ FOR_A_USER = {
 
 @pytest.fixture(autouse=True)
 def nothing_of_this_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the systemd nor the rig of whoever runs the tests."""
+    """Neither the systemd nor the rig of this machine."""
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     monkeypatch.setenv("SWEEPSCOPE_RUN", str(tmp_path / "nobody-here"))
 
@@ -173,7 +173,7 @@ class SwitchingInstaller(Installer):
         return [*super().steps(), ("start", self._fail)]
 
     def _fail(self) -> None:
-        raise KeyError("an error that nobody thought of")
+        raise KeyError("an unexpected error")
 
 
 def test_after_a_switch_that_failed_units_list_and_link_are_the_old_ones_again(tmp_path: Path) -> None:

@@ -1,0 +1,95 @@
+"""Options that several calibration commands share, and how they read pictures and save results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from acquire.contract.errors import CalibrationError
+from tui.commands.context import PATH, options, print_json, size_callback
+
+if TYPE_CHECKING:
+    from process.calibration.board.detection import Board
+
+PICTURE_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
+METHOD = click.Choice(["linear", "probit", "fit", "auto"])
+method_option = click.option("--method", type=METHOD, default="auto", show_default=True, help="Crossing estimate.")
+edge_option = click.option("--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True)
+camera_option = click.option(
+    "--camera", "camera_file", required=True, type=PATH, help="Calibration file with the camera."
+)
+out_option = click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+views_options = options(
+    click.option(
+        "--squares", required=True, metavar="CxR", callback=size_callback, help="Squares (or dots) of the board."
+    ),
+    click.option("--square-mm", required=True, type=float, help="Side of a square, or distance of two dots, in mm."),
+    click.option(
+        "--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True
+    ),
+)
+"""The board in pictures of the camera."""
+
+
+def board_of(squares: tuple[int, int], pitch_mm: float, kind: str = "chessboard") -> Board:
+    """The board that --squares, --square-mm and --kind describe.
+
+    Raises:
+        CalibrationError: too few squares, or no size.
+    """
+    from process.calibration.board.detection import Board
+
+    if min(squares) < 3 or pitch_mm <= 0:
+        raise CalibrationError("a board has at least 3 x 3 squares of a positive size: see --squares, --square-mm")
+    return Board(max(squares), min(squares), pitch_mm, kind)  # type: ignore[arg-type]
+
+
+def read_grey(path: Path) -> Any:
+    """A picture as grey levels, uint8 or uint16 [h, w], not rotated; None if it cannot be read."""
+    import cv2
+
+    return cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def save(
+    out: Path,
+    document: dict[str, Any],
+    lines: Sequence[str],
+    *,
+    force: bool,
+    as_json: bool,
+    section: str = "light_plane",
+    page: tuple[str, str] | None = None,
+    **more: Any,
+) -> None:
+    """Write a calibration and its report page, and print the result.
+
+    Args:
+        out: calibration.json to write.
+        document: its content.
+        lines: the result as text.
+        force: replace an existing file.
+        as_json: print one JSON object instead of text.
+        section: the part of the document that is new.
+        page: suffix of the report's file name, and its HTML.
+        more: further keys of the JSON object.
+
+    Raises:
+        CalibrationError: the file exists already, or cannot be written.
+    """
+    from process.calibration.calibration_file import write_document
+
+    write_document(out, document, force=force)
+    facts: dict[str, Any] = {"out": out}
+    if page is not None:
+        from process.calibration.report_page import write_page
+
+        facts["report"] = out.with_name(f"{out.stem}-{page[0]}.html")
+        write_page(facts["report"], page[1])
+    if as_json:
+        print_json({**facts, section: document[section], **more})
+    else:
+        click.echo("\n".join([*lines, *map(str, facts.values())]))
