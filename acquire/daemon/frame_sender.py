@@ -15,14 +15,23 @@ from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
 from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.units import NS_PER_S
-from acquire.sweep.credit_window import Kept, Window
+from acquire.sweep.credit_window import FrameKey
 from acquire.sweep.events import Committed, LaneEvent, Refused, Sealed, WriterReady
+from acquire.sweep.writer_nacks import FOR_GOOD
 
 logger = logging.getLogger(__name__)
 RETRY_NS = 1 * NS_PER_S
 COUNTERS = ("sent", "resent", "malformed", "superseded", "unsent", "nacks", "stray_acks")
 MAX_BURST = 256
 """Messages handled in one call, so that the caller's loop stays responsive."""
+
+
+@dataclass(frozen=True)
+class Unacked:
+    """A frame that the writer has not acknowledged; its pixels must not change until it has."""
+
+    image: Image
+    pixels: Any
 
 
 @dataclass
@@ -35,13 +44,13 @@ class _Writer:
     """The scan was announced to it since it was last heard to say hello."""
 
 
-class FrameLane:
+class FrameSender:
     """ROUTER side of the frames lane. Not thread-safe: one thread calls everything."""
 
     def __init__(self, socket: zmq.Socket[Any]) -> None:
         self.socket = socket
         self.sender = Sender(socket)
-        self.window = Window(1)
+        self.unacked: dict[FrameKey, Unacked] = {}
         self.last_heard_ns = 0
         self.counters = dict.fromkeys(COUNTERS, 0)
         self._writer: _Writer | None = None
@@ -50,13 +59,13 @@ class FrameLane:
         self._end: End | None = None
         self._retry_at_ns = 0
         self._had_writer = False
-        self._durable = 0
+        self._acked: set[int] = set()
+        """Indices of the sweep frames that the writer holds."""
 
-    def begin(self, start: Start, slots: int) -> None:
+    def begin(self, start: Start) -> None:
         """Announce a scan; ``WriterReady`` follows once a writer has made its file."""
-        self.window = Window(slots)
-        self._start, self._end = start, None
-        self._had_writer, self._durable = False, 0
+        self.forget()
+        self._start, self._had_writer = start, False
         if self._writer is not None:
             self._writer.acknowledged = self._writer.announced = False
             self._greet()
@@ -64,7 +73,7 @@ class FrameLane:
     def forget(self) -> None:
         """The scan is over: whatever is still kept is dropped, nothing is announced any more."""
         self._start = self._end = None
-        self.window = Window(1)
+        self.unacked, self._acked = {}, set()
 
     @property
     def ready(self) -> bool:
@@ -77,8 +86,11 @@ class FrameLane:
 
     def offer(self, image: Image, pixels: Any) -> None:
         """Keep a frame and send it to the writer, now or when there is one."""
-        if self.window.keep(image, pixels) and self.ready:
-            self._send_frame(Kept(image, pixels))
+        if image.role == "sweep" and image.frame_index in self._acked:
+            return
+        frame = self.unacked[image.role, image.frame_index] = Unacked(image, pixels)
+        if self.ready:
+            self._send_frame(frame)
 
     def finish(self, end: End) -> None:
         """No more frames follow; sent now, and again to a writer that comes back. ``Sealed`` follows."""
@@ -161,45 +173,54 @@ class FrameLane:
         assert self._writer is not None
         known, self._writer.acknowledged = self._writer.acknowledged, True
         came_back, self._had_writer = self._had_writer, True
-        for frame_index, crc32 in zip(indices_of(message.committed), message.crc32, strict=False):
-            self.window.commit(AckItem(frame_index, 0, crc32))
-        self._durable = message.durable_count
+        committed = zip(indices_of(message.committed), message.crc32, strict=False)
+        items = tuple(AckItem(frame_index, 0, crc32) for frame_index, crc32 in committed)
+        for item in items:
+            self._settle(item)
         if not known:
             self._replay()
-        return WriterReady(message.reserved, came_back)
+        return WriterReady(message.reserved, came_back, items)
 
     def _take_ack(self, message: Ack) -> LaneEvent:
-        self._durable = message.durable_count
-        new = tuple(item.frame_index for item in message.frames if self._commit(item))
-        return Committed(new, self._durable)
+        return Committed(tuple(item for item in message.frames if self._was_sent(item)), message.durable_count)
 
-    def _commit(self, item: AckItem) -> bool:
-        """Only a frame that was sent can be acked; of others that are in the file, ``start_ack`` tells."""
-        if (item.role, item.frame_index) in self.window.kept:
-            return self.window.commit(item)
-        self.counters["stray_acks"] += item.role == "sweep" and item.frame_index not in self.window.committed
+    def _was_sent(self, item: AckItem) -> bool:
+        """Only a frame that was sent can be acked; ``start_ack`` names the others that are in the file."""
+        if (item.role, item.frame_index) in self.unacked:
+            self._settle(item)
+            return True
+        self.counters["stray_acks"] += item.role == "sweep" and item.frame_index not in self._acked
         return False
+
+    def _settle(self, item: AckItem) -> None:
+        """A frame is committed; one that the file holds with other pixels stays unacknowledged."""
+        key = (item.role, item.frame_index)
+        if key in self.unacked and self.unacked[key].image.crc32 != item.crc32:
+            return
+        self.unacked.pop(key, None)
+        if item.role == "sweep":
+            self._acked.add(item.frame_index)
 
     def _take_nack(self, message: Nack, now_ns: int) -> LaneEvent:
         self.counters["nacks"] += 1
         if message.reason in ("no space", "io error", "crc", "shape", "busy"):
             self._retry_at_ns = now_ns + RETRY_NS
-        elif message.reason in ("immutable", "protocol") and message.frame_index >= 0:
+        elif message.reason in FOR_GOOD and message.frame_index >= 0:
             # sending it again would change nothing; the end will name it as missing
-            self.window.give_up(message.role, message.frame_index)
+            self.unacked.pop((message.role, message.frame_index), None)
         elif message.reason == "no such scan" and self._writer is not None:
             self._writer.acknowledged = False
             self._greet()
         return Refused(message)
 
     def _replay(self) -> None:
-        for frame in sorted(self.window.kept.values(), key=lambda kept: kept.image.frame_index):
+        for frame in sorted(self.unacked.values(), key=lambda frame: frame.image.frame_index):
             self.counters["resent"] += 1
             self._send_frame(frame)
         if self._end is not None:
             self._send(self._end)
 
-    def _send_frame(self, frame: Kept) -> None:
+    def _send_frame(self, frame: Unacked) -> None:
         self._send(frame.image, frame.pixels)
         self.counters["sent"] += 1
 

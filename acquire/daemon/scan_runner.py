@@ -23,10 +23,9 @@ from acquire.stages.protocol import Alarm
 from acquire.sweep import actions as do
 from acquire.sweep.events import SweepEvent
 from acquire.sweep.phases import Phase
-from acquire.sweep.progress import Shooting
 from acquire.sweep.state_machine import Sweep
 
-from .frame_sender import FrameLane
+from .frame_sender import FrameSender
 from .scan_setup import PreparedScan
 
 logger = logging.getLogger(__name__)
@@ -39,7 +38,7 @@ class RunningScan:
         self,
         prepared: PreparedScan,
         rig: Rig,
-        lane: FrameLane,
+        lane: FrameSender,
         live: Sender,
         *,
         on_fault: Callable[[FaultReport], None],
@@ -51,8 +50,8 @@ class RunningScan:
         self._on_fault, self._on_message, self._on_view = on_fault, on_message, on_view
         self.live_drops = 0
         self._truth: threading.Thread | None = None
-        lane.begin(prepared.start, prepared.slots)
-        self.sweep = Sweep(Shooting(prepared.settings, lane.window))
+        lane.begin(prepared.start)
+        self.sweep = Sweep(prepared.settings, prepared.slots)
         live.send(prepared.start)
 
     def begin(self, now_ns: int) -> None:
@@ -111,7 +110,7 @@ class RunningScan:
         except OSError as error:
             logger.warning("the folder of the scan cannot be read any more: %s", error)
             return
-        if not left and self.sweep.closing.result is None:
+        if not left and self.sweep.finish.end_ack is None:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _carry_out(self, actions: list[do.Action]) -> None:
@@ -143,11 +142,11 @@ class RunningScan:
                 stage.stop()
             case do.CheckLimit():
                 stage.check_limit()
-            case do.Attach(name, picture):
+            case do.SavePicture(name, picture):
                 cv2.imwrite(str(self.prepared.folder / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
-            case do.Mark(measured):
+            case do.SaveMarks(measured):
                 self._mark(measured)
-            case do.Finish(end):
+            case do.SendEnd(end):
                 self._lane.finish(end)
                 self._live.send(end)
             case do.RaiseFault(fault):

@@ -36,7 +36,7 @@ from acquire.sweep.events import StopRequested, Tick
 
 from .clock_watch import TimeWatch
 from .event_queue import Inbox
-from .frame_sender import FrameLane
+from .frame_sender import FrameSender
 from .preview_publisher import PreviewLane
 from .scan_runner import RunningScan
 from .scan_setup import PreparedScan
@@ -60,7 +60,7 @@ class Daemon:
         self._notifier = Notifier()
         self._inbox = Inbox()
         self._context: zmq.Context[Any] = zmq.Context()
-        self.lane = FrameLane(bind(self._context, zmq.ROUTER, run_dir, "frames"))
+        self.lane = FrameSender(bind(self._context, zmq.ROUTER, run_dir, "frames"))
         self.live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
         self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
         self.preview = PreviewLane(bind(self._context, zmq.XPUB, run_dir, "preview"))
@@ -217,7 +217,7 @@ class Daemon:
             self.enter(sweep.state)
             return
         self._publish_status(self.clock.now_ns(), force=True)
-        committed, outcome, reason = len(sweep.window.committed), sweep.outcome, sweep.closing.reason
+        committed, outcome, reason = len(sweep.window.committed), sweep.outcome, sweep.finish.reason
         self.scan.close()
         self.scan = None
         for state in (State.FINISHING, State.IDLE):
@@ -226,7 +226,7 @@ class Daemon:
 
     def _watch_writer(self, scan: RunningScan, now_ns: int) -> None:
         """A writer that says nothing while frames wait for it is lost, and the operator is told once."""
-        waiting = bool(scan.sweep.window.kept)
+        waiting = bool(scan.sweep.window.unacked)
         lost = waiting and not self.lane.alive(now_ns, round(self.config.rig.limits.writer_lost_s * NS_PER_S))
         if lost and not self._writer_lost:
             self.fault(report("F03", committed=len(scan.sweep.window.committed), expected=scan.sweep.count))
@@ -259,7 +259,7 @@ class Daemon:
     def _interrupt(self, now_ns: int) -> None:
         """The service ends: so does the sweep, with an honest end."""
         if self.scan is not None:
-            self.fault(report("F24", committed=len(self.lane.window.committed), expected=self.scan.sweep.count))
+            self.fault(report("F24", committed=len(self.scan.sweep.window.committed), expected=self.scan.sweep.count))
             self.scan.handle(StopRequested(Outcome.ABORTED, "F24 the service was told to stop"), now_ns)
 
     # ---- clients ----

@@ -15,7 +15,7 @@ from acquire.contract.units import NS_PER_S, steps_to_um
 from acquire.daemon.commands.control import Control
 from acquire.stages.protocol import StageInfo, StageStatus
 
-from .frame_sender import FrameLane
+from .frame_sender import FrameSender
 from .lamp_timer import LampTimer
 from .preview_publisher import PreviewLane
 from .rates import Rate
@@ -75,7 +75,7 @@ class Board:
         stage_info: StageInfo,
         camera_info: CameraInfo,
         settings: CameraSettings,
-        lane: FrameLane,
+        lane: FrameSender,
         scan: RunningScan | None,
         interlude: Interlude,
         control: Control,
@@ -136,12 +136,12 @@ class Board:
             received=sweep.intake.counters["received"],
             committed=committed,
             durable=sweep.durable,
-            retaken=sum(1 for k in sweep.shooting.attempts if k in window.committed),
+            retaken=sweep.retaken,
             missing=sweep.count - committed if scan.done else 0,
-            credit=max(0, window.free(sweep.shooting.triggered_through)),
+            credit=max(0, window.free()),
             window=window.slots,
             rate_hz=rate_hz,
             eta_s=(sweep.count - committed) / rate_hz if rate_hz > 0 and not sweep.paused else None,
             elapsed_s=(now_ns - self._started_ns) / NS_PER_S,
-            counters=facts.counters | sweep.closing.accounts() | {"live_drops": scan.live_drops},
+            counters=facts.counters | sweep.counters | {"live_drops": scan.live_drops},
         )

@@ -75,7 +75,7 @@ class Publish:
 
 
 @dataclass(frozen=True)
-class Attach:
+class SavePicture:
     """Lay a picture beside the scan."""
 
     name: str
@@ -84,14 +84,14 @@ class Attach:
 
 
 @dataclass(frozen=True)
-class Mark:
+class SaveMarks:
     """Lay beside the scan, at once, what must be known of it even if its end is never said."""
 
     measured: dict[str, float]
 
 
 @dataclass(frozen=True)
-class Finish:
+class SendEnd:
     """Tell writer and worker that no more frames follow."""
 
     end: End
@@ -123,9 +123,9 @@ Action = (
     | StopStage
     | CheckLimit
     | Publish
-    | Attach
-    | Mark
-    | Finish
+    | SavePicture
+    | SaveMarks
+    | SendEnd
     | RaiseFault
     | Say
 )

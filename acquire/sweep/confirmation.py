@@ -1,7 +1,8 @@
-"""Frames that wait for the controller's word: one that was exposed while it stopped by itself is never taken for good.
+"""Frames that wait until the controller confirms that it did not stop during their exposure.
 
-An emergency stop or a restart puts the lamp out. The picture of that moment arrives before the news, and committed it
-could not be taken again. So a frame goes on its way only when the controller was heard to be sound after its exposure.
+An emergency stop or a restart of the controller puts the lamp out. The dark frame of that moment arrives before the
+alarm; committed, it could not be taken again. So a frame is published only after the controller was heard to be
+without an alarm after the end of its exposure.
 """
 
 from __future__ import annotations
@@ -13,25 +14,25 @@ from .actions import Publish
 
 
 @dataclass
-class Unproven:
-    """Pure: frames in, frames out, in order. The window of the writer bounds how many there can be."""
+class Confirmation:
+    """Frames in, frames out, in order. The credit window bounds how many can wait. Pure."""
 
     needed: bool
-    """False where stage and lamp live in the host: nothing can happen to them unheard."""
+    """False where stage and lamp are driven by the host: nothing can happen to them that it does not know."""
     _waiting: deque[tuple[int, Publish]] = field(default_factory=deque)
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def add(self, publish: Publish, exposed_until_ns: int) -> list[Publish]:
-        """Take a frame; returns what may go on its way at once."""
+        """Take a frame; returns what may be published at once."""
         if not self.needed:
             return [publish]
         self._waiting.append((exposed_until_ns, publish))
         return []
 
-    def proven(self, sound_ns: int | None) -> list[Publish]:
-        """The controller was sound at ``sound_ns`` (CLOCK_MONOTONIC): frames whose exposure had ended by then."""
+    def confirm(self, sound_ns: int | None) -> list[Publish]:
+        """The controller was without an alarm at ``sound_ns`` (CLOCK_MONOTONIC): frames exposed by then."""
         found = []
         while self._waiting and sound_ns is not None and self._waiting[0][0] <= sound_ns:
             found.append(self._waiting.popleft()[1])

@@ -1,9 +1,13 @@
-"""The bounded window between trigger and commit: who may be triggered, what must be kept. Pure: values in and out."""
+"""Frame credit: how far the stage may trigger, from what the writer has committed. Pure: values in and out.
+
+Frame n may be triggered only while n <= (last frame of the committed prefix) + slots. So the frames between their
+trigger and their commit are bounded, and with them the memory that they need.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 from acquire.contract.messaging.messages import AckItem, Image
 
@@ -11,79 +15,119 @@ FrameKey = tuple[str, int]
 """Role and frame index."""
 
 
-@dataclass(frozen=True)
-class Kept:
-    """A frame that is not committed yet; its pixels must not change until it is."""
-
-    image: Image
-    pixels: Any
-
-
 @dataclass
-class Window:
-    """Frames between their trigger and their commit, and the absolute credit that follows from them.
-
-    Frame n may be triggered only while n <= (last frame of the committed prefix) + slots.
-    """
+class CreditWindow:
+    """Frames that are committed or on their way to the writer, and the credit of the running segment."""
 
     slots: int
     """Frames that may be uncommitted at a time, at least 1."""
-    kept: dict[FrameKey, Kept] = field(default_factory=dict)
+    unacked: dict[FrameKey, int] = field(default_factory=dict)
+    """crc32 of each frame that was published and is not committed yet."""
     committed: dict[int, int] = field(default_factory=dict)
     """crc32 of each committed sweep frame by its index."""
     prefix: int = 0
     """Frames 0..prefix-1 are all committed."""
     conflicts: int = 0
     """Frames of which the file holds another version, or that it cannot take."""
+    triggered_through: int = -1
+    """The highest frame index that was triggered in this segment or before it."""
+    holds: int = 0
+    """How often the stage had to wait for the writer."""
+    short: bool = False
+    """The stage waits for the writer; it goes on when half the window is free."""
+    running: bool = False
+    """A segment is under way."""
+    first: int = 0
+    """First frame of the segment."""
+    granted: int = -1
+    """Last frame of the segment that may be triggered."""
+    _last: int = -1
+    _gated: bool = True
+
+    # ---- what is committed ----
+
+    def publish(self, image: Image) -> None:
+        """A frame is on its way to the writer, unless it is committed already."""
+        if image.role != "sweep" or image.frame_index not in self.committed:
+            self.unacked[image.role, image.frame_index] = image.crc32
+
+    def commit(self, items: Iterable[AckItem]) -> None:
+        """Take acks. A repeated ack has no effect; one with another checksum commits nothing."""
+        for item in items:
+            key = (item.role, item.frame_index)
+            if self.unacked.get(key, item.crc32) != item.crc32:
+                self.conflicts += 1
+                continue
+            self.unacked.pop(key, None)
+            if item.role == "sweep":
+                self.committed.setdefault(item.frame_index, item.crc32)
+        while self.prefix in self.committed:
+            self.prefix += 1
+
+    def refuse(self, role: str, frame_index: int) -> None:
+        """The writer will never take this frame: it is no longer waited for."""
+        if self.unacked.pop((role, frame_index), None) is not None:
+            self.conflicts += 1
+
+    def revoke(self, missing: Iterable[tuple[int, int]]) -> None:
+        """The file lost these committed frames: ranges [first, last] of frame indices."""
+        for frame_index in [k for k in self.committed if any(first <= k <= last for first, last in missing)]:
+            del self.committed[frame_index]
+            self.prefix = min(self.prefix, frame_index)
+
+    # ---- the credit of a segment ----
 
     def may_trigger_through(self) -> int:
         """The last frame index that has credit (absolute)."""
         return self.prefix + self.slots - 1
 
-    def free(self, triggered_through: int) -> int:
-        """Slots that are free when frames up to ``triggered_through`` were triggered."""
-        return self.may_trigger_through() - triggered_through
+    def free(self) -> int:
+        """Slots that are left for frames that were not triggered yet; 0 or less: none."""
+        return self.may_trigger_through() - self.triggered_through
 
-    def keep(self, image: Image, pixels: Any) -> bool:
-        """Keep a frame until its ack; False if that frame is committed already and must not be sent."""
-        if image.role == "sweep" and image.frame_index in self.committed:
+    def begin(self, first: int, last: int, *, gated: bool, ahead: int | None) -> int:
+        """A segment over the frames first..last begins; returns the last frame that may be triggered at once.
+
+        Args:
+            first: index of its first frame.
+            last: index of its last frame.
+            gated: False for a check frame, which needs no credit.
+            ahead: triggers that may be fired before the next frame arrives; None: any number.
+        """
+        self.first, self._last, self._gated, self.running = first, last, gated, True
+        self.triggered_through = first - 1
+        self.granted = self._credit(ahead) if gated else last
+        return self.granted
+
+    def grant(self, ahead: int | None) -> int | None:
+        """Raise the credit of the segment; returns the last frame that may be triggered, None where nothing changes."""
+        if not self.running or not self._gated or self._must_wait():
+            return None
+        credit = self._credit(ahead)
+        if credit <= self.granted:
+            return None
+        self.granted = credit
+        return credit
+
+    def awaits_trigger(self) -> bool:
+        """True while a trigger that has credit, or the segment's end, is still to come from the stage."""
+        if not self.running:
             return False
-        self.kept[(image.role, image.frame_index)] = Kept(image, pixels)
-        return True
+        return self.triggered_through < self.granted or self.triggered_through == self._last
 
-    def commit(self, item: AckItem) -> bool:
-        """Take an ack; True if it commits something new. A repeated ack does no harm."""
-        key = (item.role, item.frame_index)
-        kept = self.kept.get(key)
-        if kept is not None and kept.image.crc32 != item.crc32:
-            self.conflicts += 1
-            return False
-        self.kept.pop(key, None)
-        if item.role != "sweep" or item.frame_index in self.committed:
-            return False
-        self.committed[item.frame_index] = item.crc32
-        while self.prefix in self.committed:
-            self.prefix += 1
-        return True
+    def _must_wait(self) -> bool:
+        free = self.free()
+        if free <= 0 and self.triggered_through < self._last and not self.short:
+            self.short = True
+            self.holds += 1
+        # hysteresis: one long wait instead of a stop after each frame
+        if self.short and free >= max(1, self.slots // 2):
+            self.short = False
+        return self.short
 
-    def revoke(self, missing: list[tuple[int, int]]) -> None:
-        """The file does not hold these any more, although it did: ranges [first, last] of frame indices."""
-        for frame_index in [k for k in self.committed if any(first <= k <= last for first, last in missing)]:
-            del self.committed[frame_index]
-            self.prefix = min(self.prefix, frame_index)
-
-    def give_up(self, role: str, frame_index: int) -> None:
-        """The writer will never take this frame: it is not kept any more, and counts as a conflict."""
-        if self.kept.pop((role, frame_index), None) is not None:
-            self.conflicts += 1
-
-    def is_settled(self) -> bool:
-        """True when nothing waits for an ack."""
-        return not self.kept
-
-    def kept_bytes(self) -> int:
-        """Bytes of pixels that are kept."""
-        return sum(memoryview(frame.pixels).nbytes for frame in self.kept.values())
+    def _credit(self, ahead: int | None) -> int:
+        through = min(self.may_trigger_through(), self._last)
+        return through if ahead is None else min(through, self.triggered_through + ahead)
 
 
 def slots_for(window_bytes: int, frame_bytes: int, wanted: int = 512) -> int:

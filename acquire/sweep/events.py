@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
-from acquire.contract.messaging.messages import EndAck, Nack
+from acquire.contract.messaging.messages import AckItem, EndAck, Nack
 from acquire.contract.states import Outcome
 from acquire.stages.protocol import StageEvent
 
@@ -15,14 +15,18 @@ class WriterReady:
     """A writer has the scan's file open (again)."""
 
     reserved: bool
+    """False where the file system cannot reserve the file's space."""
     came_back: bool
+    """True for every writer of the scan but the first."""
+    committed: tuple[AckItem, ...] = ()
+    """Frames that its file holds already."""
 
 
 @dataclass(frozen=True)
 class Committed:
     """Frames became committed; ``durable_count`` frames survive a power cut."""
 
-    frame_indices: tuple[int, ...]
+    frames: tuple[AckItem, ...]
     durable_count: int
 
 

@@ -30,14 +30,14 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Pairing:
+class Match:
     """What one arriving frame means."""
 
     shot: Shot | None
     """The trigger that it belongs to; None: nobody triggered it, or it came too late."""
     lost: tuple[Shot, ...] = ()
     """Triggers whose frames will not come any more."""
-    unproven: bool = False
+    doubtful: bool = False
     """The frame may have been that of the last of these."""
 
 
@@ -63,14 +63,12 @@ class _Times:
 
 
 @dataclass
-class Ledger:
+class Pairing:
     """Pairs triggers with frames between one arming of the camera and the next."""
 
     spacing: Spacing = Spacing()
     pending: deque[Shot] = field(default_factory=deque)
     armed_at_ns: int = 0
-    extra_frames: int = 0
-    """Frames that belong to no trigger, dropped and counted."""
     _last_camera_id: int | None = None
     _on_host_clock: bool = False
     _offset_ns: int | None = None
@@ -126,7 +124,7 @@ class Ledger:
 
     def frame(
         self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int = 0, *, apart_ns: int | None = None
-    ) -> Pairing:
+    ) -> Match:
         """A frame arrived. Ids and times decide; one that is before its trigger, or repeated, belongs to nobody.
 
         Args:
@@ -141,24 +139,22 @@ class Ledger:
         apart_ns = self.spacing.apart_ns if apart_ns is None else min(apart_ns, self.spacing.apart_ns)
         self.note_clock(exposure_start_ns)
         if self._is_stale(camera_frame_id, exposure_start_ns):
-            self.extra_frames += 1
-            return Pairing(None)
+            return Match(None)
         times = _Times(exposure_start_ns, camera_ns, apart_ns)
         lost = self._skip_to(camera_frame_id) + self._skip_unseen(camera_frame_id, times)
         self._last_camera_id = camera_frame_id
         if self.pending and early and not self._is_proven(times):
             lost += (self.pending.popleft(),)
             self._expect_anew()
-            return Pairing(None, lost, unproven=True)
+            return Match(None, lost, doubtful=True)
         if not self.pending or not self._fits(self.pending[0], camera_frame_id, times):
-            self.extra_frames += 1
             self._expect_anew()
-            return Pairing(None, lost)
+            return Match(None, lost)
         shot = self.pending.popleft()
         if camera_ns and shot.fired_ns:
             self._offset_ns = self._likely_offset_ns = camera_ns - shot.fired_ns
         self._expect_anew()
-        return Pairing(shot, lost)
+        return Match(shot, lost)
 
     def overdue(self, now_ns: int) -> tuple[Shot, ...]:
         """Triggers whose deadline has passed; they are lost, and no longer waited for."""

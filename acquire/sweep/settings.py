@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
 from acquire.contract.units import ns_from_ms
-from acquire.sweep.overlap_check import OverlapLimits
+from acquire.stages.protocol import Segment
+from acquire.sweep.checks.overlap import OverlapLimits
 from acquire.sweep.pairing import Spacing
 
 
@@ -58,6 +59,20 @@ class SweepSettings:
     """Of simulated durations; time-outs stay as they are."""
     resume: ResumeFrom | None = None
     """None for a sweep that begins."""
+
+    def segment(self, first: int, last: int) -> Segment:
+        """The frames first..last as the stage runs them."""
+        plan = self.plan
+        return Segment(
+            first_steps=plan.position_steps(first),
+            pitch_steps=plan.pitch_steps,
+            count=last - first + 1,
+            mode=plan.mode,
+            settle_ms=plan.settle_ms,
+            dwell_ms=plan.exposure_ms,
+            period_ms=self.period_ms,
+            run_up_steps=self.run_up_steps,
+        )
 
     @property
     def exposure_ns(self) -> int:

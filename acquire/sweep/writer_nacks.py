@@ -24,6 +24,8 @@ class Refusal:
     detail: str
     facts: dict[str, object] = field(default_factory=dict)
     """What else the fault's words need."""
+    is_final: bool = False
+    """The writer will never take the frame: it is not sent again."""
     ends_sweep: bool = False
     """A frame of the sweep can never be committed: it would block all that follow."""
 
@@ -36,7 +38,8 @@ def understand(nack: Nack, *, has_file: bool) -> Refusal:
         return as_disk
     if nack.reason in FOR_GOOD and nack.frame_index >= 0:
         # a check frame may be there from before an interruption
-        return Refusal("F07" if nack.role == "sweep" else "", detail, ends_sweep=nack.role == "sweep")
+        ends_sweep = nack.role == "sweep"
+        return Refusal("F07" if ends_sweep else "", detail, is_final=True, ends_sweep=ends_sweep)
     if nack.reason in DAMAGED:
         return Refusal("F19", f"on its way to the writer: {detail}", {"frame": nack.frame_index, "attempts": 1})
     return Refusal("", detail) if nack.reason in PASSING else as_disk

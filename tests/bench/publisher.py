@@ -33,10 +33,10 @@ from acquire.contract.process.clocks import epoch_utc_ns, utc_now_iso
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.states import Outcome, State
 from acquire.contract.units import NS_PER_S
-from acquire.daemon.frame_sender import FrameLane
+from acquire.daemon.frame_sender import FrameSender
 from acquire.daemon.preview_publisher import MOST_IN_A_SWEEP_HZ, PreviewLane
-from acquire.sweep.credit_window import slots_for
-from acquire.sweep.events import Sealed
+from acquire.sweep.credit_window import CreditWindow, slots_for
+from acquire.sweep.events import Committed, Sealed
 
 READY_S: Final = 90.0
 RUN_S: Final = 300.0
@@ -82,7 +82,7 @@ class Publisher:
         self.preview = PreviewLane(bind(context, zmq.XPUB, place, "preview"))
         self._looks = connect(context, zmq.SUB, place, "preview") if pictures else None
         self._pids = {"publisher": os.getpid(), **pids}
-        self._lane = FrameLane(bind(context, zmq.ROUTER, place, "frames"))
+        self._lane = FrameSender(bind(context, zmq.ROUTER, place, "frames"))
         self._live = Sender(bind(context, zmq.PUB, place, "live"))
         self._status = Sender(bind(context, zmq.PUB, place, "status"))
         self._results = connect(context, zmq.SUB, place, "results")
@@ -100,6 +100,7 @@ class Publisher:
             start_time_utc=utc_now_iso(),
             epoch_utc_ns=epoch_utc_ns(),
         )
+        self._window = CreditWindow(slots_for(256_000_000, form.nbytes))
         self._crc32 = np.zeros(frames, dtype=np.uint32)
         self._status_ns = 0
         self.marks = Marks()
@@ -107,16 +108,16 @@ class Publisher:
     def run(self) -> Marks:
         """Send the sweep; returns when it is sealed and its results are on disk."""
         marks = self.marks
-        self._lane.begin(self._start, slots_for(256_000_000, self._start.format.nbytes))
+        self._lane.begin(self._start)
         self._until(self._both_are_ready, READY_S, "writer and worker")
         marks.begin_ns, before = _now_ns(), self._cpu_s()
         for frame_index in range(self._frames):
-            while self._lane.window.may_trigger_through() < frame_index:
+            while self._window.may_trigger_through() < frame_index:
                 self._turn(100)
             self._send(frame_index)
             self._turn(0)
         marks.sent_ns = _now_ns()
-        self._until(self._lane.window.is_settled, RUN_S, "all commits")
+        self._until(lambda: not self._lane.unacked, RUN_S, "all commits")
         marks.committed_ns = _now_ns()
         end = End(
             scan_uid=self._start.scan_uid,
@@ -168,6 +169,7 @@ class Publisher:
             crc32=crc32,
         )
         part = shared(pixels)
+        self._window.publish(image)
         self._lane.offer(image, part)
         self.marks.live_unsent += not self._live.send(image, part)
         self.preview.keep(View(pixels, image.position_steps, image.position_um, 0.0, frame_index))
@@ -184,7 +186,9 @@ class Publisher:
             self._poller.poll(patience_ms)
         now_ns = _now_ns()
         for event in self._lane.poll(now_ns):
-            if isinstance(event, Sealed):
+            if isinstance(event, Committed):
+                self._window.commit(event.frames)
+            elif isinstance(event, Sealed):
                 self.marks.end_ack, self.marks.sealed_ns = event.end_ack, now_ns
         self.preview.poll()
         self.preview.flush(now_ns, self._start.format, MOST_IN_A_SWEEP_HZ)
@@ -220,7 +224,7 @@ class Publisher:
             format=self._start.format,
             outcome=Outcome.RUNNING if ack is None else ack.outcome,
             expected=self._frames,
-            committed=self._lane.window.prefix,
+            committed=self._window.prefix,
         )
 
     def _check(self, digest: str) -> None:

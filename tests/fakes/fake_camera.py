@@ -24,7 +24,8 @@ from acquire.contract.messaging.lanes import Sender, bind
 from acquire.contract.messaging.messages import End, EndAck, FrameFormat, Image, Nack, Status
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State
-from acquire.daemon.frame_sender import FrameLane
+from acquire.daemon.frame_sender import FrameSender
+from acquire.sweep.credit_window import CreditWindow
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
 from tests.waiting import Stopwatch
@@ -39,7 +40,8 @@ class FakeCamera:
         self.options = options
         self.random = random.Random(options.seed)
         self.start = start_of(options.scan, options.frames, options.format, scan_uid=options.uid)
-        self.lane = FrameLane(bind(context, zmq.ROUTER, options.run_dir, "frames"))
+        self.lane = FrameSender(bind(context, zmq.ROUTER, options.run_dir, "frames"))
+        self.window = CreditWindow(options.slots)
         self.live = Sender(bind(context, zmq.PUB, options.run_dir, "live"), epoch=self.lane.sender.epoch)
         self.status = Sender(bind(context, zmq.PUB, options.run_dir, "status"), epoch=self.lane.sender.epoch)
         self.witness: IO[str] | None = options.witness.open("a") if options.witness else None
@@ -53,14 +55,14 @@ class FakeCamera:
 
     def run(self) -> dict[str, Any]:
         """Send the whole sweep; what came of it."""
-        self.lane.begin(self.start, self.options.slots)
+        self.lane.begin(self.start)
         self._until(lambda: self.lane.ready, "a writer")
         self.live.send(self.start)
         for frame_index in range(self.options.frames):
-            self._until(lambda wanted=frame_index: self.lane.window.may_trigger_through() >= wanted, "credit")
+            self._until(lambda wanted=frame_index: self.window.may_trigger_through() >= wanted, "credit")
             self._shoot(frame_index)
             self._pause(self.options.delay_ms / 1000)
-        self._until(self.lane.window.is_settled, "all acks")
+        self._until(lambda: not self.lane.unacked, "all acks")
         end = self._end_message()
         self.lane.finish(end)
         self._until(lambda: self.end_ack is not None, "the end's ack")
@@ -91,6 +93,7 @@ class FakeCamera:
             os.fdatasync(self.witness.fileno())
         if self._chance(self.options.bad):
             self._send_bad(image, pixels)
+        self.window.publish(image)
         self.lane.offer(image, pixels)
         if self._chance(self.options.duplicate):
             self.counters["duplicates"] += 1
@@ -146,6 +149,7 @@ class FakeCamera:
             elif isinstance(event, Sealed):
                 self.end_ack = event.end_ack
             elif isinstance(event, WriterReady):
+                self.window.commit(event.committed)
                 self.counters["readies"] += 1
                 self.counters["came_back"] += event.came_back
         if time.monotonic() >= self._next_status:
@@ -153,10 +157,11 @@ class FakeCamera:
             self.status.send(self._status())
 
     def _note(self, event: Committed) -> None:
+        self.window.commit(event.frames)
         self.durable = event.durable_count
         if self.acks is not None:
             now_ns = time.monotonic_ns()
-            self.acks.write("".join(f"{frame_index} {now_ns}\n" for frame_index in event.frame_indices))
+            self.acks.write("".join(f"{item.frame_index} {now_ns}\n" for item in event.frames))
 
     def _refused(self, nack: Nack) -> None:
         self.nacks[nack.reason] = self.nacks.get(nack.reason, 0) + 1
@@ -171,7 +176,7 @@ class FakeCamera:
             format=self.options.format,
             outcome=Outcome.RUNNING if self.end_ack is None else self.end_ack.outcome,
             expected=self.options.frames,
-            committed=len(self.lane.window.committed),
+            committed=len(self.window.committed),
             durable=self.durable,
         )
 
@@ -181,7 +186,7 @@ class FakeCamera:
             "counters": {**self.lane.counters, **self.counters},
             "nacks": self.nacks,
             "durable": self.durable,
-            "kept_bytes": self.lane.window.kept_bytes(),
+            "kept_bytes": sum(frame.pixels.nbytes for frame in self.lane.unacked.values()),
         }
 
 

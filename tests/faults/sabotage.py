@@ -54,9 +54,9 @@ def _status_before_pixels() -> None:
 
 
 def _no_replay() -> None:
-    from acquire.daemon.frame_sender import FrameLane
+    from acquire.daemon.frame_sender import FrameSender
 
-    _replace(FrameLane, "_replay", lambda _self: None)
+    _replace(FrameSender, "_replay", lambda _self: None)
 
 
 def _no_verification() -> None:
@@ -72,30 +72,30 @@ def _no_lock() -> None:
 
 
 def _no_credit() -> None:
-    from acquire.sweep.credit_window import Window
+    from acquire.sweep.credit_window import CreditWindow
 
-    _replace(Window, "may_trigger_through", lambda _self: 10**9)
+    _replace(CreditWindow, "may_trigger_through", lambda _self: 10**9)
 
 
-def _no_ledger() -> None:
-    from acquire.sweep.pairing import Ledger, Pairing
+def _no_pairing() -> None:
+    from acquire.sweep.pairing import Match, Pairing
 
-    def frame(self: Any, *_args: int, **_more: object) -> Pairing:
-        return Pairing(self.pending.popleft() if self.pending else None)
+    def frame(self: Any, *_args: int, **_more: object) -> Match:
+        return Match(self.pending.popleft() if self.pending else None)
 
-    _replace(Ledger, "frame", frame)
+    _replace(Pairing, "frame", frame)
 
 
 def _no_look_at_times() -> None:
-    from acquire.sweep.pairing import Ledger
+    from acquire.sweep.pairing import Pairing
 
-    _replace(Ledger, "_skip_unseen", lambda *_args: ())
+    _replace(Pairing, "_skip_unseen", lambda *_args: ())
 
 
 def _no_retake() -> None:
     from acquire.sweep.state_machine import Sweep
 
-    _replace(Sweep, "_lose", lambda *_args: [])
+    _replace(Sweep, "_retake", lambda *_args: [])
 
 
 def _no_format_check() -> None:
@@ -109,10 +109,10 @@ def _no_format_check() -> None:
     _replace(scan_file.ScanFile, "_check", lambda *_args: None)
 
 
-def _no_lamp_watch() -> None:
-    from acquire.sweep.light_monitor import LampWatch
+def _no_light_monitor() -> None:
+    from acquire.sweep.checks.light_monitor import LightMonitor
 
-    _replace(LampWatch, "update", lambda *_args: None)
+    _replace(LightMonitor, "update", lambda *_args: None)
 
 
 def _no_time_watch() -> None:
@@ -367,7 +367,7 @@ PROTECTIONS: dict[str, Protection] = {
     "lease": Protection("F15", "the controller holds when it does not hear the host", _no_lease),
     "retake": Protection("F16", "a lost frame is taken again", _no_retake),
     "times of frames": Protection("F16", "a frame is no trigger's that it is too late for", _no_look_at_times),
-    "ledger": Protection("F17", "frames are paired by ids", _no_ledger),
+    "pairing": Protection("F17", "frames are paired by ids", _no_pairing),
     "retake after a restart": Protection("F18", "a lost frame is taken again", _no_retake),
     "format check": Protection("F19", "a frame of another shape is refused", _no_format_check),
     "checksum on arrival": Protection("F19", "a frame that changed on its way is refused", _no_crc_on_arrival),
@@ -378,5 +378,5 @@ PROTECTIONS: dict[str, Protection] = {
     "signal handler": Protection("F24", "a service that is told to end says an end", _no_signal_handler),
     "verification": Protection("F25", "frames are compared with their checksums", _no_verification),
     "lock": Protection("F26", "one process of a kind", _no_lock),
-    "lamp watch": Protection("F27", "the light is watched", _no_lamp_watch),
+    "light monitor": Protection("F27", "the light is watched", _no_light_monitor),
 }

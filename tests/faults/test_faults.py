@@ -49,4 +49,4 @@ def test_every_protection_is_still_where_it_is_taken_away():
 
 def test_a_harness_that_lost_a_protection_says_so():
     with pytest.raises(AssertionError, match="another one than the rig showed"):
-        run_scan("F17", at=0.4, seed=1, sabotage="ledger")
+        run_scan("F17", at=0.4, seed=1, sabotage="pairing")

@@ -15,10 +15,8 @@ from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.sweep import actions as do
-from acquire.sweep.credit_window import Window
 from acquire.sweep.events import Committed, Sealed, SweepEvent, Tick, WriterReady
 from acquire.sweep.phases import Phase
-from acquire.sweep.progress import Shooting
 from acquire.sweep.settings import SweepSettings
 from acquire.sweep.state_machine import Sweep
 
@@ -59,6 +57,8 @@ class Bench:
     """Whether the camera says when it exposed."""
     spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
     """Returns ``lose``, ``shape`` or ``mute`` (no ack) for a shot."""
+    committed: tuple[AckItem, ...] = ()
+    """What the file holds already when the writer is ready."""
     picture: NDArray[np.uint8] | None = None
     """What the camera shows; None: all pixels 1 with the lamp on, else 0."""
     published: list[Image] = field(default_factory=list)
@@ -66,7 +66,9 @@ class Bench:
     said: list[str] = field(default_factory=list)
     triggers: list[tuple[int, int]] = field(default_factory=list)
     """(frame index, position) of every trigger that was fired."""
-    end: do.Finish | None = None
+    unacked: list[Image] = field(default_factory=list)
+    """Frames that the writer has not committed yet."""
+    end: do.SendEnd | None = None
     sealed: EndAck | None = None
     """What the writer says to the end; None: all is well."""
     stops: int = 0
@@ -95,14 +97,17 @@ class Bench:
     def start(self) -> None:
         """The writer is ready and the lamp is warm."""
         self.sweep.start(self.now_ns)
-        self.feed(WriterReady(reserved=True, came_back=False))
+        self.feed(WriterReady(reserved=True, came_back=False, committed=self.committed))
         self.tick(1)
+
+    def ack(self, count: int = 1) -> None:
+        """The writer commits the frames that have waited longest."""
+        acked, self.unacked = self.unacked[:count], self.unacked[count:]
+        self.feed(Committed(tuple(ack_of(image) for image in acked), 0))
 
     def ack_all(self) -> None:
         """The writer commits everything that waits."""
-        kept = list(self.sweep.window.kept.values())
-        new = [k.image.frame_index for k in kept if self.sweep.window.commit(_item(k.image))]
-        self.feed(Committed(tuple(new), len(self.sweep.window.committed)))
+        self.ack(len(self.unacked))
 
     @property
     def positions(self) -> list[int]:
@@ -130,13 +135,13 @@ class Bench:
                 self._events.append(Stopped(0, position_trusted=True))
             case do.CheckLimit():
                 self._events.append(Moved(0, position_trusted=True, steps_lost=0))
-            case do.Publish(image, pixels):
+            case do.Publish(image, _pixels):
                 self.published.append(image)
-                self.sweep.window.keep(image, pixels)
                 if self.acking:
-                    self.sweep.window.commit(_item(image))
-                    self._events.append(Committed((image.frame_index,), 0))
-            case do.Finish():
+                    self._events.append(Committed((ack_of(image),), 0))
+                else:
+                    self.unacked.append(image)
+            case do.SendEnd():
                 self.end = action
                 sealed = action.end.outcome is not Outcome.INTERRUPTED
                 usual = EndAck(path="x", sealed=sealed, outcome=action.end.outcome, committed=0)
@@ -175,13 +180,13 @@ class Bench:
         self._events.append(CameraFrame(pixels, self._camera_id, self.now_ns if self.tells_time else 0))
 
 
-def _item(image: Image) -> AckItem:
+def ack_of(image: Image) -> AckItem:
     return AckItem(image.frame_index, image.attempt, image.crc32, image.role)
 
 
 def bench(count: int = 10, slots: int = 100, **changes: object) -> Bench:
     """A bench with a fresh sweep."""
-    return Bench(Sweep(Shooting(settings(count, **changes), Window(slots))))
+    return Bench(Sweep(settings(count, **changes), slots))
 
 
 def done(on: Bench) -> bool:

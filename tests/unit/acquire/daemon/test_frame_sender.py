@@ -24,7 +24,7 @@ from acquire.contract.messaging.messages import (
 from acquire.contract.plan import SweepPlan
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
-from acquire.daemon.frame_sender import FrameLane
+from acquire.daemon.frame_sender import FrameSender
 from acquire.sweep.events import Committed, Refused, Sealed, WriterReady
 from tests.waiting import wait_for
 
@@ -65,7 +65,7 @@ def context():
 
 @pytest.fixture
 def lane(context, run_dir):
-    return FrameLane(bind(context, zmq.ROUTER, run_dir, "frames"))
+    return FrameSender(bind(context, zmq.ROUTER, run_dir, "frames"))
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def poll(lane, wanted=1):
 
 def make_ready(lane, writer, committed=(), crc32=()):
     writer.send(Hello())
-    lane.begin(START, slots=4)
+    lane.begin(START)
     _until(lane, lambda: lane.alive(time.monotonic_ns(), 10**10))
     assert isinstance(writer.take().message, Start)
     writer.send(StartAck(scan_uid="u", path="/x", committed=list(committed), crc32=list(crc32)))
@@ -117,7 +117,7 @@ def _until(lane, condition):
 
 
 def test_frames_wait_until_the_writer_is_ready_and_then_come_in_order(lane, writer):
-    lane.begin(START, slots=4)
+    lane.begin(START)
     for index in range(3):
         lane.offer(*frame(index))
     assert answer(lane, writer) == [WriterReady(True, False)]
@@ -129,22 +129,32 @@ def test_an_acked_frame_is_let_go_and_the_others_are_kept(lane, writer):
     for index in range(3):
         lane.offer(*frame(index))
     writer.send(Ack(scan_uid="u", frames=[AckItem(0, 0, frame(0)[0].crc32)], committed_count=1, durable_count=0))
-    assert poll(lane) == [Committed((0,), 0)]
-    assert sorted(key[1] for key in lane.window.kept) == [1, 2]
+    assert poll(lane) == [Committed((AckItem(0, 0, frame(0)[0].crc32),), 0)]
+    assert sorted(key[1] for key in lane.unacked) == [1, 2]
 
 
 def test_an_ack_for_a_frame_that_was_never_sent_commits_nothing(lane, writer):
     make_ready(lane, writer)
     writer.send(Ack(scan_uid="u", frames=[AckItem(0, 0, 7)], committed_count=1, durable_count=0))
     assert poll(lane) == [Committed((), 0)]
-    assert not lane.window.committed and lane.counters["stray_acks"] == 1
+    assert lane.counters["stray_acks"] == 1
+
+
+def test_a_frame_that_the_writer_has_with_other_pixels_is_kept(lane, writer):
+    make_ready(lane, writer)
+    lane.offer(*frame(0))
+    writer.send(Ack(scan_uid="u", frames=[AckItem(0, 0, 7)], committed_count=1, durable_count=0))
+    assert poll(lane) == [Committed((AckItem(0, 0, 7),), 0)]
+    assert lane.unacked
 
 
 def test_a_writer_that_comes_back_gets_what_it_has_not_committed(lane, writer, second):
     make_ready(lane, writer)
     for index in range(3):
         lane.offer(*frame(index))
-    assert answer(lane, second, [(0, 0)], [frame(0)[0].crc32]) == [WriterReady(True, True)]
+    assert answer(lane, second, [(0, 0)], [frame(0)[0].crc32]) == [
+        WriterReady(True, True, (AckItem(0, 0, frame(0)[0].crc32),))
+    ]
     received = [second.take() for _ in range(2)]
     assert [r.message.frame_index for r in received] == [1, 2]
     assert [r.payload.bytes for r in received] == [frame(k)[1].tobytes() for k in (1, 2)]
@@ -167,7 +177,7 @@ def test_a_refused_frame_is_kept_and_sent_again_later(lane, writer):
     writer.take()
     writer.send(Nack(scan_uid="u", reason="no space", frame_index=0))
     (event,) = poll(lane)
-    assert isinstance(event, Refused) and lane.window.kept
+    assert isinstance(event, Refused) and lane.unacked
     lane.poll(time.monotonic_ns() + 2 * 10**9)
     assert writer.take().message.frame_index == 0
 
@@ -188,7 +198,7 @@ def test_words_of_another_scan_are_ignored(lane, writer):
     writer.send(Ack(scan_uid="other", frames=[AckItem(0, 0, 1)], committed_count=1, durable_count=1))
     writer.send(Ack(scan_uid="u", frames=[], committed_count=0, durable_count=0))
     assert poll(lane) == [Committed((), 0)]
-    assert lane.window.kept
+    assert lane.unacked
 
 
 def test_garbage_is_counted_and_does_no_harm(lane, writer):
@@ -198,12 +208,12 @@ def test_garbage_is_counted_and_does_no_harm(lane, writer):
     assert make_ready(lane, writer) == [WriterReady(True, False)]
 
 
-def test_a_frame_that_the_file_holds_in_another_version_is_given_up_and_counted(lane, writer):
+def test_a_frame_that_the_file_holds_in_another_version_is_given_up(lane, writer):
     make_ready(lane, writer)
     lane.offer(*frame(0))
     writer.send(Nack(scan_uid="u", reason="immutable", frame_index=0))
     poll(lane)
-    assert lane.window.is_settled() and lane.window.conflicts == 1 and not lane.window.committed
+    assert not lane.unacked
 
 
 def test_a_writer_that_lost_the_scan_is_told_of_it_again(lane, writer):

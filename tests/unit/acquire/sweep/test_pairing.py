@@ -1,16 +1,16 @@
-"""The ledger pairs triggers with frames and never guesses."""
+"""Pairing finds the trigger of each frame and never guesses."""
 
 from __future__ import annotations
 
 import pytest
 
-from acquire.sweep.pairing import Ledger, Spacing
+from acquire.sweep.pairing import Pairing, Spacing
 
 MS = 1_000_000
 
 
-def fire(ledger: Ledger, frame_index: int, at_ms: int, attempt: int = 0) -> None:
-    ledger.triggered(
+def fire(pairing: Pairing, frame_index: int, at_ms: int, attempt: int = 0) -> None:
+    pairing.triggered(
         frame_index=frame_index,
         attempt=attempt,
         trigger_id=100 + frame_index,
@@ -23,82 +23,81 @@ def fire(ledger: Ledger, frame_index: int, at_ms: int, attempt: int = 0) -> None
     )
 
 
-def armed() -> Ledger:
-    ledger = Ledger()
-    ledger.arm(1000 * MS)
-    return ledger
+def armed() -> Pairing:
+    pairing = Pairing()
+    pairing.arm(1000 * MS)
+    return pairing
 
 
 def test_a_frame_belongs_to_the_trigger_before_it():
-    ledger = armed()
-    fire(ledger, 0, 1010)
-    pairing = ledger.frame(7, 1010 * MS)
-    assert pairing.shot is not None and pairing.shot.frame_index == 0
-    assert pairing.lost == ()
+    pairing = armed()
+    fire(pairing, 0, 1010)
+    match = pairing.frame(7, 1010 * MS)
+    assert match.shot is not None and match.shot.frame_index == 0
+    assert match.lost == ()
 
 
-def test_a_frame_that_nobody_triggered_is_counted_and_dropped():
-    ledger = armed()
-    assert ledger.frame(7, 1010 * MS).shot is None
-    assert ledger.extra_frames == 1
+def test_a_frame_that_nobody_triggered_is_dropped():
+    pairing = armed()
+    assert pairing.frame(7, 1010 * MS).shot is None
 
 
 def test_a_jump_of_the_ids_names_the_trigger_whose_frame_was_lost():
-    ledger = armed()
-    fire(ledger, 0, 1010)
-    ledger.frame(7, 1010 * MS)
-    fire(ledger, 1, 1020)
-    fire(ledger, 2, 1030)
-    pairing = ledger.frame(9, 1030 * MS)
-    assert [shot.frame_index for shot in pairing.lost] == [1]
-    assert pairing.shot is not None and pairing.shot.frame_index == 2
+    pairing = armed()
+    fire(pairing, 0, 1010)
+    pairing.frame(7, 1010 * MS)
+    fire(pairing, 1, 1020)
+    fire(pairing, 2, 1030)
+    match = pairing.frame(9, 1030 * MS)
+    assert [shot.frame_index for shot in match.lost] == [1]
+    assert match.shot is not None and match.shot.frame_index == 2
 
 
 def test_a_repeated_frame_is_not_taken_twice():
-    ledger = armed()
-    fire(ledger, 0, 1010)
-    ledger.frame(7, 1010 * MS)
-    fire(ledger, 1, 1020)
-    assert ledger.frame(7, 1020 * MS).shot is None
-    pairing = ledger.frame(8, 1020 * MS)
-    assert pairing.shot is not None and pairing.shot.frame_index == 1
+    pairing = armed()
+    fire(pairing, 0, 1010)
+    pairing.frame(7, 1010 * MS)
+    fire(pairing, 1, 1020)
+    assert pairing.frame(7, 1020 * MS).shot is None
+    match = pairing.frame(8, 1020 * MS)
+    assert match.shot is not None and match.shot.frame_index == 1
 
 
 def test_an_exposure_from_before_the_trigger_is_not_its_frame():
-    ledger = armed()
-    fire(ledger, 0, 1050)
-    assert ledger.frame(7, 1020 * MS).shot is None
+    pairing = armed()
+    fire(pairing, 0, 1050)
+    assert pairing.frame(7, 1020 * MS).shot is None
 
 
 def test_an_exposure_from_before_the_arming_is_stale():
-    ledger = armed()
-    fire(ledger, 0, 1001)
-    assert ledger.frame(7, 900 * MS).shot is None
-    assert len(ledger.pending) == 1
+    pairing = armed()
+    fire(pairing, 0, 1001)
+    assert pairing.frame(7, 900 * MS).shot is None
+    assert len(pairing.pending) == 1
 
 
 def test_an_extra_frame_between_two_triggers_does_not_shift_the_pairs():
-    ledger = armed()
-    fire(ledger, 0, 1010)
-    ledger.frame(7, 1010 * MS)
-    assert ledger.frame(8, 1015 * MS).shot is None
-    fire(ledger, 1, 1020)
-    pairing = ledger.frame(9, 1020 * MS)
-    assert pairing.shot is not None and pairing.shot.frame_index == 1
+    pairing = armed()
+    fire(pairing, 0, 1010)
+    pairing.frame(7, 1010 * MS)
+    assert pairing.frame(8, 1015 * MS).shot is None
+    fire(pairing, 1, 1020)
+    match = pairing.frame(9, 1020 * MS)
+    assert match.shot is not None and match.shot.frame_index == 1
 
 
 def test_a_trigger_without_a_frame_is_lost_after_its_deadline():
-    ledger = armed()
-    fire(ledger, 0, 1010)
-    assert ledger.overdue(1100 * MS) == ()
-    assert [shot.frame_index for shot in ledger.overdue(1110 * MS)] == [0]
-    assert not ledger.pending
+    pairing = armed()
+    fire(pairing, 0, 1010)
+    assert pairing.overdue(1100 * MS) == ()
+    assert [shot.frame_index for shot in pairing.overdue(1110 * MS)] == [0]
+    assert not pairing.pending
 
 
 def test_giving_up_returns_all_that_was_awaited():
-    ledger = armed()
-    fire(ledger, 4, 1010)
-    assert [shot.frame_index for shot in ledger.drop_all()] == [4]
+    pairing = armed()
+    fire(pairing, 4, 1010)
+    assert [shot.frame_index for shot in pairing.drop_all()] == [4]
 
 
 # ---- on the fly several triggers are under way: ids alone cannot tell of one that the camera never saw ----
@@ -108,63 +107,63 @@ FLY = Spacing(late_ns=15 * MS, early_ns=5 * MS, apart_ns=5 * MS)
 CAMERA_AHEAD_NS = 77_000 * MS
 
 
-def on_the_fly() -> Ledger:
-    ledger = Ledger()
-    ledger.arm(1000 * MS, FLY)
-    return ledger
+def on_the_fly() -> Pairing:
+    pairing = Pairing()
+    pairing.arm(1000 * MS, FLY)
+    return pairing
 
 
 @pytest.mark.parametrize("unseen", [0, 1, 2])
 def test_a_trigger_that_the_camera_never_saw_does_not_move_the_frames_behind_it_up(unseen):
-    ledger, pairs, lost = on_the_fly(), [], []
+    pairing, pairs, lost = on_the_fly(), [], []
     for k in range(5):
-        fire(ledger, k, 1010 + 20 * k)
+        fire(pairing, k, 1010 + 20 * k)
     for number, k in enumerate(k for k in range(5) if k != unseen):
-        pairing = ledger.frame(7 + number, (1010 + 20 * k) * MS)
-        pairs.append((k, pairing.shot and pairing.shot.frame_index))
-        lost += [shot.frame_index for shot in pairing.lost]
+        match = pairing.frame(7 + number, (1010 + 20 * k) * MS)
+        pairs.append((k, match.shot and match.shot.frame_index))
+        lost += [shot.frame_index for shot in match.lost]
     assert pairs == [(k, k) for k in range(5) if k != unseen] and lost == [unseen]
 
 
 def test_the_last_trigger_that_the_camera_never_saw_is_lost_by_its_deadline():
-    ledger = on_the_fly()
-    fire(ledger, 0, 1010)
-    fire(ledger, 1, 1030)
-    assert ledger.frame(7, 1010 * MS).shot is not None
-    assert [shot.frame_index for shot in ledger.overdue(1130 * MS)] == [1]
+    pairing = on_the_fly()
+    fire(pairing, 0, 1010)
+    fire(pairing, 1, 1030)
+    assert pairing.frame(7, 1010 * MS).shot is not None
+    assert [shot.frame_index for shot in pairing.overdue(1130 * MS)] == [1]
 
 
 def test_the_cameras_own_clock_tells_of_a_trigger_that_it_never_saw():
-    ledger = on_the_fly()
-    fire(ledger, 0, 1010)
-    first = ledger.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
-    assert first.shot is not None and ledger.can_tell
-    fire(ledger, 1, 1030)
-    fire(ledger, 2, 1050)
-    pairing = ledger.frame(8, 0, CAMERA_AHEAD_NS + 1051 * MS)
-    assert [shot.frame_index for shot in pairing.lost] == [1]
-    assert pairing.shot is not None and pairing.shot.frame_index == 2
+    pairing = on_the_fly()
+    fire(pairing, 0, 1010)
+    first = pairing.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
+    assert first.shot is not None and pairing.can_tell
+    fire(pairing, 1, 1030)
+    fire(pairing, 2, 1050)
+    match = pairing.frame(8, 0, CAMERA_AHEAD_NS + 1051 * MS)
+    assert [shot.frame_index for shot in match.lost] == [1]
+    assert match.shot is not None and match.shot.frame_index == 2
 
 
 def test_a_frame_that_comes_too_late_by_the_cameras_clock_is_not_that_of_the_next_trigger():
-    ledger = on_the_fly()
-    fire(ledger, 0, 1010)
-    ledger.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
-    fire(ledger, 1, 1030)
-    ledger.overdue(1130 * MS)
-    fire(ledger, 2, 1050)
-    assert ledger.frame(8, 0, CAMERA_AHEAD_NS + 1030 * MS).shot is None
-    pairing = ledger.frame(9, 0, CAMERA_AHEAD_NS + 1050 * MS)
-    assert pairing.shot is not None and pairing.shot.frame_index == 2
+    pairing = on_the_fly()
+    fire(pairing, 0, 1010)
+    pairing.frame(7, 0, CAMERA_AHEAD_NS + 1010 * MS)
+    fire(pairing, 1, 1030)
+    pairing.overdue(1130 * MS)
+    fire(pairing, 2, 1050)
+    assert pairing.frame(8, 0, CAMERA_AHEAD_NS + 1030 * MS).shot is None
+    match = pairing.frame(9, 0, CAMERA_AHEAD_NS + 1050 * MS)
+    assert match.shot is not None and match.shot.frame_index == 2
 
 
 def test_a_camera_without_any_clock_leaves_the_ledger_unable_to_tell_and_each_arming_forgets_the_cameras_clock():
-    ledger = on_the_fly()
-    fire(ledger, 0, 1010)
-    ledger.frame(7, 0)
-    assert not ledger.can_tell
-    fire(ledger, 1, 1030)
-    ledger.frame(8, 0, CAMERA_AHEAD_NS)
-    assert ledger.can_tell
-    ledger.arm(2000 * MS)
-    assert not ledger.can_tell
+    pairing = on_the_fly()
+    fire(pairing, 0, 1010)
+    pairing.frame(7, 0)
+    assert not pairing.can_tell
+    fire(pairing, 1, 1030)
+    pairing.frame(8, 0, CAMERA_AHEAD_NS)
+    assert pairing.can_tell
+    pairing.arm(2000 * MS)
+    assert not pairing.can_tell

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ from acquire.contract.messaging.messages import AckItem, EndAck, FrameFormat, Na
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
 from acquire.sweep.actions import RaiseFault
+from acquire.sweep.checks.overlap import OverlapLimits
 from acquire.sweep.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
-from acquire.sweep.overlap_check import OverlapLimits
 from acquire.sweep.phases import Phase
 from acquire.sweep.settings import ResumeFrom
 from tests.unit.sweep_bench import MS, Bench, bench, done, settings
@@ -105,7 +103,8 @@ def test_a_frame_that_is_lost_too_often_ends_the_sweep_as_failed_and_names_what_
 
 def on_the_fly(count: int, tells_time: bool):
     plan = msgspec.structs.replace(settings(count).plan, mode="fly")
-    on = bench(count, plan=plan, period_ms=20)
+    # frames come in zero time one after the other: with a period, each but the first would be too early
+    on = bench(count, plan=plan, period_ms=0)
     on.tells_time = tells_time
     return on
 
@@ -114,8 +113,6 @@ def on_the_fly(count: int, tells_time: bool):
 def test_on_the_fly_several_frames_are_under_way_only_where_time_can_tell_them_apart(tells_time, fired):
     on = on_the_fly(10, tells_time)
     on.spoil = lambda frame_index, attempt: "missed" if (frame_index, attempt) == (4, 0) else ""
-    # one in zero time after the other: here time tells nothing of which one was missed
-    on.sweep.shooting.settings = replace(on.sweep.settings, period_ms=0)
     on.start()
     assert len(on.triggers) == fired
 
@@ -191,9 +188,8 @@ def test_no_credit_no_trigger_and_the_sweep_resumes_when_half_the_window_is_free
     on.start()
     assert [frame for frame, _ in on.triggers] == [0, 1, 2, 3]
     assert on.sweep.state is State.HOLDING and on.sweep.hold_reason is HoldReason.NO_CREDIT
-    on.sweep.window.commit(_first_kept(on))
-    on.tick(1)
-    assert len(on.triggers) == 4
+    on.ack(2)
+    assert len(on.triggers) == 4, "the ambient frame and one of four are committed"
     on.ack_all()
     assert [frame for frame, _ in on.triggers][4:8] == [4, 5, 6, 7]
 
@@ -356,14 +352,14 @@ def test_a_frame_that_was_exposed_while_the_controller_stopped_by_itself_is_miss
     on.tick(1)
     assert done(on) and on.sweep.outcome is outcome
     assert len([image for image in on.published if image.role == "sweep"]) == taken
-    assert on.end is not None and on.end.end.missing == [(taken, 19)] and on.sweep.intake.counters["doubtful"] > 0
+    assert on.end is not None and on.end.end.missing == [(taken, 19)] and on.sweep.counters["doubtful"] > 0
 
 
 def test_a_frame_that_the_file_will_never_take_ends_the_sweep_by_name_instead_of_blocking_it():
     on = bench(20, slots=4)
     on.acking = False
     on.start()
-    on.sweep.window.give_up("sweep", 0)
+    on.unacked = [image for image in on.unacked if (image.role, image.frame_index) != ("sweep", 0)]
     on.feed(Refused(Nack(reason="immutable", frame_index=0, detail="frame 0 is committed with other pixels")))
     on.ack_all()
     assert done(on) and on.sweep.outcome is Outcome.FAILED and "other pixels" in on.faults[0].happened
@@ -435,11 +431,6 @@ def test_frames_that_the_writer_finds_damaged_when_it_seals_are_not_called_safe(
     assert "3 of 5 frames" in on.faults[-1].safe and "resume" in on.faults[-1].to_do
 
 
-def _first_kept(on):
-    kept = min((k for k in on.sweep.window.kept.values() if k.image.role == "sweep"), key=lambda k: k.image.frame_index)
-    return AckItem(kept.image.frame_index, 0, kept.image.crc32)
-
-
 def resumed(count=10, last=3, moved=False):
     """A sweep whose frames 0..last are committed already; ``moved``: the rig shows something else than it did."""
     scene = np.kron(np.random.default_rng(1).integers(0, 200, (8, 8)), np.ones((8, 8))).astype(np.uint8)
@@ -447,8 +438,7 @@ def resumed(count=10, last=3, moved=False):
     past = ResumeFrom(last, scene, None, scene, OverlapLimits())
     on = bench(count, resume=past, format=FrameFormat(width=64, height=64, bit_depth=8))
     on.picture = shown
-    for k in range(last + 1):
-        on.sweep.window.commit(AckItem(k, 0, k))
+    on.committed = tuple(AckItem(k, 0, k) for k in range(last + 1))
     return on
 
 

@@ -34,7 +34,7 @@ _GRID: Final = 128
 
 
 @dataclass
-class LampWatch:
+class LightMonitor:
     """Fed with the frames of a sweep in order."""
 
     full_scale: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acquire.sweep.drift_check import measure_drift
+from acquire.sweep.checks.drift import measure_drift
 
 RANDOM = np.random.default_rng(3)
 SCENE = np.kron(RANDOM.integers(20, 200, (16, 16)), np.ones((8, 8))).astype(np.uint8)

@@ -12,7 +12,7 @@ from acquire.contract.errors import ConfigError
 from acquire.contract.units import NS_PER_S
 from acquire.daemon.clock_watch import TimeWatch
 from acquire.simulation import Renderer, build_scene
-from acquire.sweep.light_monitor import LampWatch
+from acquire.sweep.checks.light_monitor import LightMonitor
 
 COUNT = 132
 
@@ -26,7 +26,7 @@ def render():
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_sweep_in_steady_light_raises_no_alarm(render, order):
-    watch = LampWatch(255)
+    watch = LightMonitor(255)
     assert [watch.update(k, render(index)) for k, index in enumerate(range(COUNT)[::order])] == [None] * COUNT
 
 
@@ -34,14 +34,14 @@ def test_a_sweep_in_steady_light_raises_no_alarm(render, order):
     ("light", "words"), [({"lamp": 0.85}, "less"), ({"lamp": 0.0}, "fails"), ({"room": 5}, "light")]
 )
 def test_a_change_of_the_light_is_noticed_within_five_frames_and_dated(render, light, words):
-    watch = LampWatch(255)
+    watch = LightMonitor(255)
     found = {k: watch.update(k, render(k, **(light if k >= 70 else {}))) for k in range(55, 75)}
     noticed = min(k for k, seen in found.items() if seen)
     assert noticed <= 74 and found[noticed][0] == 70 and words in found[noticed][1]
 
 
 def test_light_that_was_accepted_is_not_complained_of_again(render):
-    watch = LampWatch(255)
+    watch = LightMonitor(255)
     for k in range(60, 80):
         if watch.update(k, render(k, lamp=0.7 if k >= 70 else 1.0)):
             break
@@ -50,7 +50,7 @@ def test_light_that_was_accepted_is_not_complained_of_again(render):
 
 
 def test_a_gap_in_the_frames_is_not_taken_for_the_light(render):
-    watch = LampWatch(255)
+    watch = LightMonitor(255)
     for k in range(60, 70):
         watch.update(k, render(k))
     assert watch.update(120, render(120)) is None
@@ -58,14 +58,14 @@ def test_a_gap_in_the_frames_is_not_taken_for_the_light(render):
 
 def test_a_frame_that_is_taken_again_does_not_hide_a_change_of_the_light(render):
     """The lamp dims while the sweep goes back for frame 69."""
-    watch, found = LampWatch(255), None
+    watch, found = LightMonitor(255), None
     for k in [*range(60, 69), 70, 69, 71, 72]:
         found = found or watch.update(k, render(k, lamp=1.0 if k in range(60, 71) else 0.7))
     assert found is not None and found[0] == 71
 
 
 def test_frames_that_are_left_out_do_not_hide_a_change_of_the_light(render):
-    watch, found = LampWatch(255), None
+    watch, found = LightMonitor(255), None
     for k in [*range(60, 70), 74, 75, 76]:
         found = found or watch.update(k, render(k, lamp=1.0 if k < 70 else 0.7))
     assert found is not None and found[0] == 74
@@ -73,7 +73,7 @@ def test_frames_that_are_left_out_do_not_hide_a_change_of_the_light(render):
 
 @pytest.mark.parametrize("lost", [65, 90, 110])
 def test_a_frame_that_is_taken_again_in_steady_light_raises_no_alarm(render, lost):
-    watch = LampWatch(255)
+    watch = LightMonitor(255)
     order = [*range(lost - 10, lost), lost + 1, lost + 2, lost, *range(lost + 3, lost + 12)]
     assert [watch.update(k, render(k)) for k in order] == [None] * len(order)
 

@@ -1,0 +1,46 @@
+"""Retakes: which frames are taken, and which are taken again because their frame was lost. Pure.
+
+A lost frame costs no special path: it is simply not taken, so that the next run of the stage includes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from .pairing import Shot
+
+
+@dataclass
+class Retakes:
+    """The frames of one sweep by index."""
+
+    count: int
+    """Frames of the plan."""
+    max_attempts: int
+    """A frame that was lost so often ends the sweep."""
+    taken: set[int] = field(default_factory=set)
+    """Frames that arrived and belong to their trigger beyond doubt."""
+    attempts: dict[int, int] = field(default_factory=dict)
+    """Lost attempts by frame index."""
+    lost: int = 0
+    """Lost attempts of all frames."""
+
+    def lose(self, shots: Iterable[Shot]) -> Shot | None:
+        """Count a lost attempt for each shot; returns the first that was lost too often, None when there is none."""
+        for shot in shots:
+            self.lost += 1
+            self.attempts[shot.frame_index] = self.attempts.get(shot.frame_index, 0) + 1
+            if self.attempts[shot.frame_index] >= self.max_attempts:
+                return shot
+        return None
+
+    def next_run(self) -> tuple[int, int] | None:
+        """First and last frame of the first run that is not taken yet, retakes included; None when all are taken."""
+        missing = [k for k in range(self.count) if k not in self.taken]
+        if not missing:
+            return None
+        last = first = missing[0]
+        while last + 1 < self.count and last + 1 not in self.taken:
+            last += 1
+        return first, last
