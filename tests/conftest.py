@@ -133,7 +133,10 @@ def clean_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def real_scan() -> Path:
-    """The public scan of a frog, where it lies: $SWEEPSCOPE_TEST_DATA, or shared/data beside the repository."""
+    """The public scan of a frog, which does not ship: in $SWEEPSCOPE_TEST_DATA, or shared/data beside the repository.
+
+    A shorter sequence for the same tests is in tests/data.
+    """
     root = Path(os.environ.get("SWEEPSCOPE_TEST_DATA") or Path(__file__).parents[2] / "shared" / "data")
     folder = root / "frog-v1-lr"
     if not folder.is_dir():
