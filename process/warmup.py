@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel, TranslatingPlane
-from acquire.contract.messaging.messages import FrameFormat
-from process.cloud.cloud import make_cloud, write_ply
+from acquire.contract.scan_data.maps_file import MapsHeader, write_maps
+from process.cloud.cloud import make_cloud
+from process.cloud.ply import write_ply
 from process.cloud.triangulation import coordinates, plane_table, rays
 from process.crossings.maps import Maps, empty_samples
 from process.crossings.two_sample_kernels import sample_columns
@@ -22,14 +23,12 @@ from process.edge_fit.pixel_kernels import FITTED
 from process.edge_fit.refine import refine
 from process.edge_fit.weighting import Sequence, Weighing, first_at_half
 from process.fold.fold import Fold
-from process.results.maps_file import MapsSource, write_maps
 from process.results.report import versions
-from process.results.settings import ReconstructOptions, Recorded, settle
+from process.results.write import map_arrays
 
 SIZE_PX = 8
 FRAMES = 12
 """More than the fold keeps before it makes a pass over its state."""
-_RECORDED = Recorded(FrameFormat(width=SIZE_PX, height=SIZE_PX, bit_depth=16))
 
 
 def warm_up() -> None:
@@ -52,10 +51,9 @@ def warm_up() -> None:
         frame_t = coordinates(plane, FRAMES, present, np.zeros(FRAMES))
         cloud = make_cloud(maps, rays(camera), plane_table(plane), frame_t, left_out=0)
     versions("")
-    source = MapsSource("", "", FRAMES - 1)
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
-        write_ply(Path(folder) / "cloud.ply", cloud)
-        write_maps(Path(folder) / "maps.h5", maps, settle(_RECORDED, ReconstructOptions()), source)
+        write_ply(Path(folder) / "cloud.ply", cloud.vertices())
+        write_maps(Path(folder) / "maps.h5", map_arrays(maps), MapsHeader(contrast=50))
 
 
 def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:

@@ -15,16 +15,11 @@ from numpy.typing import NDArray
 from acquire.cameras.protocol import CameraFrame
 from acquire.contract.errors import CommandRefusedError, ScanFileError
 from acquire.contract.files import replace_file
+from acquire.contract.scan_data.bayer import demosaiced
 
 from .background import Background
 
 FOLDER: Final = "captures"
-_BAYER: Final = {
-    "bayer_rggb": cv2.COLOR_BayerRGGB2BGR,
-    "bayer_bggr": cv2.COLOR_BayerBGGR2BGR,
-    "bayer_grbg": cv2.COLOR_BayerGRBG2BGR,
-    "bayer_gbrg": cv2.COLOR_BayerGBRG2BGR,
-}
 
 
 def capture_path(wanted: str, data_dir: Path) -> Path:
@@ -52,9 +47,8 @@ def write_png(path: Path, pixels: NDArray[Any], pixel_format: str) -> None:
     Raises:
         ScanFileError: it cannot be written; nothing of it is left.
     """
-    if pixel_format in _BAYER:
-        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), _BAYER[pixel_format])
-    elif pixels.ndim == 3:
+    pixels = demosaiced(pixels, pixel_format)
+    if pixels.ndim == 3:
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), cv2.COLOR_RGB2BGR)
     encoded = cv2.imencode(".png", pixels)[1]
     try:

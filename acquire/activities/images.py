@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.scan_data.bayer import BAYER
 
 WIDEST_PX: Final = 512
 """A picture for people is at most so wide."""
@@ -17,7 +18,6 @@ _MOST_AVERAGED: Final = 4
 """Frames that must shrink more than this are thinned before: a large one must not cost more than it shows."""
 _SAMPLES: Final = 200_000
 """Pixels that the statistics look at, about; whole rows, evenly spread."""
-_BAYER: Final = {"bayer_rggb": "rggb", "bayer_bggr": "bggr", "bayer_grbg": "grbg", "bayer_gbrg": "gbrg"}
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,8 @@ def reduce(pixels: NDArray[Any], frame_format: FrameFormat) -> NDArray[np.uint8]
 
     It shrinks by a whole number, which is quick; fewer rows and columns than that number are left out at the far edges.
     """
-    colours = _BAYER.get(frame_format.pixel_format)
-    if colours is not None:
-        pixels = _quarter(pixels, colours)
+    if frame_format.pixel_format in BAYER:
+        pixels = _quarter(pixels, frame_format.pixel_format.removeprefix("bayer_"))
     shrink = -(-pixels.shape[1] // WIDEST_PX)
     if shrink > _MOST_AVERAGED:
         thin, shrink = -(-shrink // 2), 2

@@ -1,4 +1,4 @@
-"""Owns reprocessing: a scan file, partial or sealed, becomes the same maps and cloud as the live worker made of it."""
+"""Reconstruct a scan file, partial or sealed: the same maps and cloud as the live worker makes of it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from acquire.contract.errors import ConfigError, ScanFileError
-from acquire.contract.scan_data.file_layout import ScanLayout
+from acquire.contract.errors import ConfigError
 from acquire.contract.states import outcome_words
 
+from .final_maps import new_fold
 from .fold_cursor import FoldCursor
+from .result_files import ResultPaths
 from .scan_frames import ScanFrames
-from .settings import ReconstructOptions, Recorded, settle
+from .settings import ReconstructOptions, recorded_in, settle
 from .timings import Timings
-from .write import ResultPaths, Results, new_fold, write_results
+from .write import Results, write_results
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames of the plan)."""
@@ -26,7 +27,7 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True)
 class Summary:
-    """What ``reconstruct`` did, for people and for ``--json``."""
+    """The outcome of :func:`reconstruct`, for the command line."""
 
     scan: Path
     paths: ResultPaths
@@ -78,19 +79,6 @@ def reconstruct(scan: Path, options: ReconstructOptions, progress: Progress | No
         points=None if results.cloud is None else len(results.cloud),
         results=results,
     )
-
-
-def recorded_in(layout: ScanLayout) -> Recorded:
-    """What a scan file says of itself.
-
-    Raises:
-        ScanFileError: the recorded configuration or calibration is no text.
-    """
-    try:
-        config, calibration = (layout.verbatim[key].decode("utf-8") for key in ("config", "calibration"))
-    except UnicodeDecodeError:
-        raise ScanFileError(f"{layout.path}: the recorded configuration or calibration is damaged") from None
-    return Recorded(layout.format, layout.plan, config, calibration, layout.zero_id)
 
 
 def _folder(out: Path | None, scan_file: Path) -> Path:

@@ -1,115 +1,130 @@
-"""Owns report.json: counts, timings, contrast, speed, and errors against the truth where a simulation wrote one."""
+"""Make the report of a reconstruction: counts, contrast, speed, noise, calibration, warnings, errors against truth."""
 
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Mapping
+import logging
+import math
+from collections.abc import Collection
+from datetime import datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import h5py
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.calibration import PerFramePlanes, TranslatingPlane
+from acquire.contract.calibration import PerFramePlanes, TranslatingPlane, Validity
 from acquire.contract.errors import ScanFileError
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.dataset_names import TRUTH_NAME, FrameStatus
+from acquire.contract.scan_data.report_file import (
+    CalibrationUsed,
+    NoiseFound,
+    Report,
+    Speed,
+    SweepChecks,
+    TruthErrors,
+    find_report,
+)
 from acquire.contract.units import UM_PER_MM
-from process.atomic_write import replacing
-from process.cloud.cloud import Cloud
+from process.cloud.cloud import PointCloud
+from process.crossings.light_change import light_counts, light_warnings
+from process.crossings.maps import full_scale
+from process.crossings.quality import Quality
+from process.edge_fit.noise_model import ROUNDING_VARIANCE, NoiseModel
+from process.edge_fit.refine import Refined
 
-from .report_findings import CalibrationUsed, NoiseFound
+from .fold_cursor import CursorCounts
+from .result_files import ResultPaths
+from .scan_frames import ScanFrames
+from .settings import Settings
+
+logger = logging.getLogger(__name__)
 
 HISTOGRAM_BINS = 256
+SECONDS_PER_DAY = 86_400.0
+_COUNT_NAMES = {name: f"quality_{name}" for name in (str(bit.name).lower() for bit in Quality)}
+"""The fold's names of pixels by quality bit -> those in the report, where ``from_file`` already means frames."""
+
+_COMMON_FAULTS = (
+    ("saturated", 0.005, "are saturated, their plateau is not known: less exposure or gain"),
+    ("plateau_not_reached", 0.02, "were still within the light's edge at the last frame: sweep further"),
+    ("no_dark_level", 0.05, "have no dark level: begin the sweep earlier, keep stray light out"),
+    ("lit_at_start", 0.05, "were lit in the first frame already and have no point: begin the sweep earlier"),
+    ("several", 0.1, "see the light more than once (shadows, reflections): their points may be wrong"),
+    ("filtered", 0.05, "were filtered as uncertain or lonely: more light would keep them"),
+)
+"""Quality bit, the share of a scan's crossings from which on it is worth a warning, and the warning."""
 
 
-class Speed(msgspec.Struct, frozen=True):
-    """The sweep's speed as commanded and as calibrated: a difference catches wrong steps per mm."""
+def make_report(
+    frames: ScanFrames,
+    settings: Settings,
+    folded: CursorCounts,
+    refined: Refined,
+    cloud: PointCloud | None,
+    *,
+    paths: ResultPaths,
+    outcome: str,
+    digest: str,
+    checks: SweepChecks,
+    more_counts: dict[str, int],
+) -> Report:
+    """The report of a finished reconstruction, without timings and without the comparison with the truth.
 
-    commanded_um_per_frame: float | None = None
-    """None where the plan is not known (imported folders)."""
-    calibrated_um_per_frame: float | None = None
-    """None where the direction of travel cannot be determined from the light plane."""
-    ratio: float | None = None
-    """calibrated / commanded."""
-
-
-class SweepChecks(msgspec.Struct, frozen=True):
-    """What the rig measured around the sweep; None where it did not."""
-
-    drift_px: float | None = None
-    steps_lost: float | None = None
-    brightness_change: float | None = None
-    light_changed_at: float | None = None
-    """First frame that was taken in another light (F27); the operator went on with it."""
-
-
-class TruthErrors(msgspec.Struct, frozen=True):
-    """Distances of all points from the true surface point of their pixel, untrimmed."""
-
-    points: int
-    """Points whose pixel sees a surface."""
-    points_beside: int
-    """Points whose pixel sees none; they are in no other number."""
-    median_um: float | None
-    rms_um: float | None
-    p95_um: float | None
-    visible_over_contrast: int
-    """Pixels that are lit by the sweep, seen by the camera and brighter than the contrast threshold in truth."""
-    reconstructed: int
-    """Those of them that have a point."""
-    share: float | None
-    """reconstructed / visible_over_contrast."""
-
-
-class Report(msgspec.Struct, frozen=True, kw_only=True):
-    """report.json."""
-
-    counts: dict[str, int]
-    timings_s: dict[str, float]
-    """By the clock, per stage."""
-    processor_s: dict[str, float] = {}
-    """Processor time of all threads, per stage; empty in reports of earlier versions."""
-    speed: Speed
-    outcome: str
-    digest: str
-    """Over the frames that were folded."""
-    sweep: SweepChecks
-    warnings: list[str]
-    settings: dict[str, Any]
-    versions: dict[str, str]
-    truth: TruthErrors | None = None
-    noise: NoiseFound | None = None
-    """None where the estimate does not ask for it (linear)."""
-    calibration: CalibrationUsed | None = None
-    """None without one, and in reports of earlier versions."""
-    contrast_histogram: list[int]
-    """Pixels by brightness range max - min in counts of 8 bit, 256 bins."""
-
-
-def write_report(path: Path, report: Report) -> None:
-    """Write report.json, indented.
-
-    Raises:
-        ResultWriteError: the folder cannot be written to.
+    ``digest`` is that of the folded frames; ``more_counts`` are counts that only the caller knows.
     """
-    with replacing(path) as temporary:
-        temporary.write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=2) + b"\n")
+    layout, maps, other_light = frames.layout, refined.maps, frames.other_light()
+    noise = None if settings.method == "linear" else noise_found(refined.noise, _full_of(settings, frames))
+    calibration = calibration_used(settings, layout.start_time)
+    return Report(
+        counts=frame_counts(frames)
+        | {"points": 0 if cloud is None else len(cloud)}
+        | {"from_live": folded.from_live, "from_file": folded.from_file, "refolded": folded.refolded}
+        | {_COUNT_NAMES.get(name, name): number for name, number in maps.counts.items()}
+        | light_counts(other_light)
+        | more_counts,
+        contrast_histogram=contrast_histogram(maps.minimum, maps.maximum, layout.format.bit_depth),
+        speed=sweep_speed(layout.plan, settings.light_plane),
+        outcome=outcome,
+        digest=digest,
+        sweep=checks if checks != SweepChecks() else _recorded_checks(frames, digest),
+        warnings=[
+            *settings.warnings,
+            *damage_warnings(frames.damaged),
+            *(no_cloud_warnings(settings, paths.cloud) if cloud is None else ()),
+            *age_warnings(settings, calibration),
+            *quality_warnings(maps.counts, noise, shadow=settings.edge == "falling"),
+            *light_warnings(other_light, maps.counts),
+        ],
+        settings={name: getattr(settings, name) for name in ("contrast", "median", "edge", "method", "noise_counts")},
+        versions=versions(layout.program_version),
+        noise=noise,
+        calibration=calibration,
+    )
 
 
-def read_report(path: Path) -> Report:
-    """An existing report.json.
+def frame_counts(frames: ScanFrames) -> dict[str, int]:
+    """Frames of the plan, committed, missing and retaken, as the file says now."""
+    status = frames.status()
+    committed = int(np.isin(status, (FrameStatus.GOOD, FrameStatus.RETAKEN)).sum())
+    return {
+        "frames": len(status),
+        "committed": committed,
+        "missing": len(status) - committed,
+        "retaken": int((status == FrameStatus.RETAKEN).sum()),
+    }
 
-    Raises:
-        ScanFileError: not there, or not a report of this version.
-    """
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Report)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise ScanFileError(f"{path} is not a readable report: {error}") from None
+
+def _recorded_checks(frames: ScanFrames, digest: str) -> SweepChecks:
+    """What the rig measured around this sweep: from the scan; of older scans, from the report that was made then."""
+    if found := frames.measured:
+        return SweepChecks.of(found)
+    earlier = find_report(frames.layout.path.parent)
+    return earlier.sweep if earlier is not None and earlier.digest == digest else SweepChecks()
 
 
 def contrast_histogram(minimum: NDArray[Any], maximum: NDArray[Any], bit_depth: int) -> list[int]:
@@ -135,7 +150,88 @@ def sweep_speed(plan: SweepPlan | None, plane: TranslatingPlane | PerFramePlanes
     return Speed(commanded, calibrated, calibrated / commanded if commanded else None)
 
 
-def truth_errors(path: Path, cloud: Cloud, contrast: int) -> TruthErrors:
+def noise_found(noise: NoiseModel, full: int) -> NoiseFound:
+    """The model of the folded signal in terms of the stored one; full: full scale of a falling edge, else 0."""
+    floor, slope = (noise.floor + noise.slope * full, -noise.slope) if full else (noise.floor, noise.slope)
+    return NoiseFound(math.sqrt(max(floor - ROUNDING_VARIANCE, 0.0)), max(slope, 0.0), noise.measured)
+
+
+def _full_of(settings: Settings, frames: ScanFrames) -> int:
+    return full_scale(frames.layout.format.bit_depth) if settings.edge == "falling" else 0
+
+
+def calibration_used(settings: Settings, scan_start_utc: str) -> CalibrationUsed | None:
+    """None without a calibration; times are ISO 8601."""
+    if settings.calibration is None:
+        return None
+    valid = settings.calibration.valid_for or Validity()
+    made, start = _time(valid.created_utc), _time(scan_start_utc)
+    age = None if made is None or start is None else round((start - made).total_seconds() / SECONDS_PER_DAY, 3)
+    return CalibrationUsed(settings.calibration_source, settings.calibration_sha256, valid.created_utc, age)
+
+
+def _time(text: str | None) -> datetime | None:
+    try:
+        found = datetime.fromisoformat(text or "")
+    except ValueError:
+        return None
+    return found if found.tzinfo else None
+
+
+def age_warnings(settings: Settings, used: CalibrationUsed | None) -> list[str]:
+    """A sentence if the calibration is older than it was meant to become."""
+    valid = settings.calibration.valid_for if settings.calibration else None
+    if used is None or used.age_days is None or valid is None or not valid.days or used.age_days <= valid.days:
+        return []
+    return [
+        f"the calibration was {used.age_days:.0f} days old, it is meant for {valid.days:g}: "
+        "check it with 'sweepscope calibrate check'"
+    ]
+
+
+def quality_warnings(counts: dict[str, int], noise: NoiseFound | None, *, shadow: bool = False) -> list[str]:
+    """Sentences on what many pixels of a scan have in common; counts as in ``Maps.counts``.
+
+    shadow: the edge of a shadow is swept through a lit room (falling edge), nothing has to be dark.
+    """
+    crossings = max(counts["crossings"], 1)
+    warnings = [
+        f"{counts[name]} pixels ({100 * counts[name] / crossings:.1f} % of the crossings) {text}"
+        for name, share, text in _COMMON_FAULTS
+        if counts.get(name, 0) > share * crossings and not (shadow and name == "no_dark_level")
+    ]
+    if noise is not None and not noise.measured and counts["crossings"]:
+        warnings.append(f"too few pixels to measure the noise: sigma rests on noise_counts, {noise.read:.2g} counts")
+    return warnings
+
+
+def damage_warnings(damaged: Collection[int]) -> list[str]:
+    """A sentence on frames that are committed but do not have their checksum."""
+    if not damaged:
+        return []
+    named = ", ".join(str(k) for k in sorted(damaged)[:5])
+    return [f"{len(damaged)} frames do not have their checksum and were left out: {named}"]
+
+
+def no_cloud_warnings(settings: Settings, cloud: Path) -> list[str]:
+    """Why there is no cloud, and that a file of that name is another run's."""
+    stale = [f"{cloud} is left from an earlier run, it does not belong to these maps"]
+    return [settings.what_is_missing] + (stale if cloud.exists() else [])
+
+
+def find_truth(frames: ScanFrames, cloud: PointCloud | None, settings: Settings) -> TruthErrors | None:
+    """The comparison of the cloud with truth.h5 beside the scan; None where there is none (yet)."""
+    path = frames.layout.path.parent / TRUTH_NAME
+    if cloud is None or not path.is_file():
+        return None
+    try:
+        return truth_errors(path, cloud, settings.contrast)
+    except ScanFileError as error:
+        logger.warning("%s", error)  # the simulation may still be writing it
+        return None
+
+
+def truth_errors(path: Path, cloud: PointCloud, contrast: int) -> TruthErrors:
     """Compare a cloud with truth.h5.
 
     Raises:
@@ -175,8 +271,3 @@ def versions(scan_program: str) -> dict[str, str]:
         "opencv": cv2.__version__,
         "h5py": h5py.__version__,
     }
-
-
-def checks_of(measured: Mapping[str, float]) -> SweepChecks:
-    """The rig's measurements as they came in the ``end`` message."""
-    return SweepChecks(**{key: measured[key] for key in SweepChecks.__struct_fields__ if key in measured})

@@ -1,4 +1,4 @@
-"""Owns reading frames for the fold: stored pixels become grey or RGB, and damaged frames count as missing."""
+"""Frames of a scan file for the fold: stored pixels become grey or RGB, and damaged frames count as missing."""
 
 from __future__ import annotations
 
@@ -6,29 +6,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.scan_data.bayer import BAYER, demosaiced
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader
 from process.edge_fit.pixel_columns import ReadColumns, gathered
 from process.fold.fold import to_grey
-
-_DEMOSAIC = {
-    "bayer_rggb": cv2.COLOR_BayerRGGB2RGB,
-    "bayer_bggr": cv2.COLOR_BayerBGGR2RGB,
-    "bayer_grbg": cv2.COLOR_BayerGRBG2RGB,
-    "bayer_gbrg": cv2.COLOR_BayerGBRG2RGB,
-}
-
-
-def displayed(pixels: NDArray[Any], pixel_format: str) -> NDArray[Any]:
-    """Stored pixels as the fold takes them: [h, w] grey or [h, w, 3] RGB; Bayer is demosaiced (bilinear)."""
-    code = _DEMOSAIC.get(pixel_format)
-    return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code))
 
 
 class ScanFrames:
@@ -113,7 +100,7 @@ class ScanFrames:
         if frame_crc32(stored) != crc32:
             self.damaged.add(frame_index)
             return None
-        return displayed(stored, self.layout.format.pixel_format)
+        return demosaiced(stored, self.layout.format.pixel_format)
 
     def _target(self, room: NDArray[Any]) -> NDArray[Any]:
         form = self.layout.format
@@ -128,7 +115,7 @@ class ScanFrames:
         form = self.layout.format
         found = np.empty((len(frames), len(pixels)), np.dtype(form.dtype))
         for row, frame_index in enumerate(frames):
-            image = displayed(self._reader.frame(int(frame_index)), form.pixel_format)
+            image = demosaiced(self._reader.frame(int(frame_index)), form.pixel_format)
             chosen = image.reshape(form.height * form.width, -1)[pixels]
             grey = chosen[:, 0] if image.ndim == 2 else to_grey(chosen[None], form.bit_depth)[0]
             found[row] = grey
@@ -144,7 +131,7 @@ class ScanFrames:
         if self._mapped is None:
             self._mapped = self._reader.mapped()
         stored = self._mapped
-        if form.pixel_format in _DEMOSAIC or not stored.flags.aligned:
+        if form.pixel_format in BAYER or not stored.flags.aligned:
             return lambda pixels, first, end: self._rows_of(frames, pixels, first, end)
         stack = stored.reshape(len(stored), form.height * form.width, -1)
 
@@ -170,7 +157,7 @@ class ScanFrames:
             some = np.flatnonzero((first <= place) & (place < end))
             if len(some):
                 self._reader.read_rows(int(frames[place]), begin, band)
-                grey = to_grey(displayed(band, form.pixel_format), form.bit_depth)
+                grey = to_grey(demosaiced(band, form.pixel_format), form.bit_depth)
                 out[some, place - first[some]] = grey.reshape(-1)[inside[some]]
         return out
 

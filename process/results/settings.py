@@ -1,4 +1,4 @@
-"""Owns how a scan is reconstructed: flag > what the scan recorded > calibration > default, and what is refused."""
+"""How a scan is reconstructed: flag > what the scan recorded > calibration > default; contradictions are refused."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from acquire.contract.config.model import ReconstructConfig
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.file_layout import ScanLayout
 
 Edge = Literal["rising", "falling"]
 Method = Literal["linear", "probit", "fit", "auto"]
@@ -30,7 +31,7 @@ Method = Literal["linear", "probit", "fit", "auto"]
 
 @dataclass(frozen=True)
 class ReconstructOptions:
-    """What a person asked for; None leaves it to the scan, the calibration, the default."""
+    """Settings given by the user; None leaves one to the scan, the calibration, the default."""
 
     calibration: Path | None = None
     contrast: int | None = None
@@ -54,6 +55,19 @@ class Recorded:
     config_toml: str = ""
     calibration_json: str = ""
     zero_id: str = ""
+
+
+def recorded_in(layout: ScanLayout) -> Recorded:
+    """What a scan file says of itself.
+
+    Raises:
+        ScanFileError: the recorded configuration or calibration is no text.
+    """
+    try:
+        config, calibration = (layout.verbatim[key].decode("utf-8") for key in ("config", "calibration"))
+    except UnicodeDecodeError:
+        raise ScanFileError(f"{layout.path}: the recorded configuration or calibration is damaged") from None
+    return Recorded(layout.format, layout.plan, config, calibration, layout.zero_id)
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.refine import starts
 from process.edge_fit.weighting import Sequence
 from process.fold.fold import Fold
+from process.results.final_maps import sequence_of
 from process.results.fold_cursor import FoldCursor
 from process.results.scan_frames import ScanFrames
 from process.results.settings import Settings
-from process.results.write import sequence_of
 
 logger = logging.getLogger(__name__)
 

@@ -5,16 +5,14 @@ They are for people to look at: sampled, never averaged, so that each value is o
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import ResultMaps
+from acquire.contract.scan_data.maps_file import read_maps, sample_step
 from acquire.contract.units import NS_PER_S
 from process.crossings.maps import Maps
 
@@ -28,17 +26,10 @@ MapsNews = tuple[ResultMaps, bytes]
 """The message and its payload: min <u2, max <u2, crossing <f4, each [h, w] in row-major order."""
 
 
-def sample_step(height: int, width: int) -> int:
-    """The least distance of samples with which a picture has at most :data:`MAX_SAMPLES` of them."""
-    step = max(1, math.isqrt(height * width // MAX_SAMPLES))
-    while -(-height // step) * -(-width // step) > MAX_SAMPLES:
-        step += 1
-    return step
-
-
 def sampled(session: ScanSession, maps: Maps) -> MapsNews:
     """The maps of a fold in mid-sweep."""
-    step = sample_step(*maps.minimum.shape)
+    height, width = maps.minimum.shape
+    step = sample_step(height, width, MAX_SAMPLES)
     planes = (array[::step, ::step] for array in (maps.minimum, maps.maximum, maps.crossing))
     return _news(session, step, *planes)
 
@@ -49,14 +40,8 @@ def on_disk(session: ScanSession, path: Path) -> MapsNews:
     Raises:
         ScanFileError: it cannot be read.
     """
-    try:
-        with h5py.File(path, "r") as file:
-            step = sample_step(*file["min"].shape)
-            # rows by HDF5, columns here: a selection with two steps is read value by value
-            planes = [file[name][::step][:, ::step] for name in ("min", "max", "crossing")]
-    except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
-        raise ScanFileError(f"{path} is not a readable maps.h5: {str(error).splitlines()[0][:120]}") from None
-    return _news(session, step, *planes)
+    found = read_maps(path, ("min", "max", "crossing"), max_samples=MAX_SAMPLES)
+    return _news(session, found.step, *found.arrays.values())
 
 
 def _news(

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from acquire.contract.messaging.messages import TileHeader
 from acquire.contract.messaging.point_record import POINT
-from process.cloud.cloud import Cloud
+from process.cloud.cloud import PointCloud
+from process.cloud.ply import point_records
 
 SIDE_PX = 64
 MAX_TILES = 1024
@@ -46,7 +47,7 @@ class LiveTiles:
         self._sent: dict[int, tuple[TileHeader, bytes]] = {}
 
     def update(
-        self, cloud: Cloud, provisional: NDArray[np.bool_], *, everything: bool = False
+        self, cloud: PointCloud, provisional: NDArray[np.bool_], *, everything: bool = False
     ) -> tuple[list[TileHeader], bytes]:
         """Headers and payload of the tiles that changed (all with points, and those that lost theirs, if told so).
 
@@ -76,7 +77,7 @@ class LiveTiles:
         """Headers and payload of all tiles that hold points, as they were last sent."""
         return self._message([number for number in sorted(self._sent) if self._sent[number][0].count])
 
-    def _replace(self, number: int, cloud: Cloud, provisional: NDArray[np.bool_], which: NDArray[np.intp]) -> None:
+    def _replace(self, number: int, cloud: PointCloud, provisional: NDArray[np.bool_], which: NDArray[np.intp]) -> None:
         old, pixels = self._pixels.get(number), cloud.pixels[which]
         if old is not None:
             self._crossing[old] = np.nan
@@ -85,14 +86,14 @@ class LiveTiles:
         self._pixels[number] = pixels
         points = cloud.points_mm[which]
         origin = points.mean(axis=0) if len(which) else np.zeros(3)
-        records = np.empty(len(which), POINT)
-        for axis, name in enumerate("xyz"):
-            records[name] = points[:, axis] - origin[axis]
-        for channel, name in enumerate(("red", "green", "blue")):
-            records[name] = cloud.rgb[which, channel]
-        records["provisional"] = provisional[which]
-        records["crossing"] = cloud.crossing[which]
-        records["sigma_um"] = cloud.sigma_um[which]
+        records = point_records(
+            POINT,
+            points - origin,
+            cloud.rgb[which],
+            provisional=provisional[which],
+            crossing=cloud.crossing[which],
+            sigma_um=cloud.sigma_um[which],
+        )
         header = TileHeader(
             tile=number,
             count=len(which),

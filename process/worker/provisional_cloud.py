@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from process.cloud.cloud import Cloud
+from process.cloud.cloud import PointCloud
 from process.crossings.maps import Maps
+from process.results.final_maps import cloud_of, maps_of
 from process.results.fold_cursor import FoldCursor
 from process.results.settings import Settings
-from process.results.write import cloud_of
 
 SETTLED_AFTER_FRAMES = 20
 """A point counts as settled when its pixel has not got brighter for so many frames."""
@@ -30,7 +30,7 @@ class ShownCounts:
 class Preview:
     """Points as they are in mid-sweep."""
 
-    cloud: Cloud | None
+    cloud: PointCloud | None
     """None without a light plane."""
     provisional: NDArray[np.bool_]
     """[n], True while the point's pixel may still get brighter."""
@@ -44,13 +44,7 @@ def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np
 
     Pixels that need the scan file are left to the end.
     """
-    maps = cursor.fold.result(
-        contrast=settings.contrast,
-        median=settings.median,
-        method=settings.live_method,
-        noise_counts=settings.noise_counts,
-        read_columns=None,
-    )
+    maps = maps_of(cursor.fold, settings)
     cloud = cloud_of(maps, settings, cursor.folded, position_um)
     provisional = np.zeros(0, np.bool_)
     if cloud is not None:

@@ -16,9 +16,8 @@ from acquire.contract.scan_data.file_layout import zero_id_in
 from acquire.contract.units import format_bytes
 from process.edge_fit.early_estimates import EarlyEstimates
 from process.fold.fold import Fold
-from process.results.reconstruct import recorded_in
 from process.results.scan_frames import ScanFrames
-from process.results.settings import ReconstructOptions, Recorded, Settings, settle
+from process.results.settings import ReconstructOptions, Recorded, Settings, recorded_in, settle
 
 logger = logging.getLogger(__name__)
 

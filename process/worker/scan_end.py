@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.messaging.messages import End, FrameRange
+from acquire.contract.scan_data.report_file import SweepChecks
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
-from process.results.report import SweepChecks, checks_of
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Ending:
     @classmethod
     def of(cls, end: End) -> Ending:
         """From the end message."""
-        return cls(end.outcome.value, tuple(end.missing), checks_of(end.checks))
+        return cls(end.outcome.value, tuple(end.missing), SweepChecks.of(end.checks))
 
     @property
     def known(self) -> bool:

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from acquire.contract.messaging.messages import End, Image, ResultProgress, Status
 from acquire.contract.process.clocks import Clock, MonotonicClock
+from acquire.contract.scan_data.bayer import demosaiced
 from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS
 from process.cloud.triangulation import rays
+from process.results.final_maps import new_fold
 from process.results.fold_cursor import FoldCursor
-from process.results.scan_frames import ScanFrames, displayed, open_frames
+from process.results.scan_frames import ScanFrames, open_frames
 from process.results.timings import Timings
-from process.results.write import Results, new_fold, refresh_report, results_on_disk, write_results
+from process.results.write import Results, refresh_report, results_on_disk, write_results
 
 from .fit_ahead import Ahead
 from .frame_check import LiveGate
@@ -110,7 +112,7 @@ class ScanSession:
             return False
         self._position_um[image.frame_index] = image.position_um
         with self.timings.stage("fold_live"):
-            return self._offer(image.frame_index, image.crc32, displayed(pixels, self.form.pixel_format))
+            return self._offer(image.frame_index, image.crc32, demosaiced(pixels, self.form.pixel_format))
 
     def take_end(self, end: End) -> None:
         """The rig's account of the scan."""

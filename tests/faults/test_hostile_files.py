@@ -269,8 +269,7 @@ PLY_HEADERS = (
 def test_a_bent_cloud_is_opened_as_it_is_or_refused_in_one_line(tmp_path):
     from plyfile import PlyData, PlyElement
 
-    from process.cloud.cloud import VERTEX
-    from process.cloud.ply import read_vertices
+    from process.cloud.ply import VERTEX, read_vertices
     from process.viewer.exports.results_list import Entry, open_scan
 
     path, source = tmp_path / "cloud.ply", random.Random(5)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE, ScanFileError
+from acquire.contract.errors import EXIT_FAILED, EXIT_INCOMPLETE
 from acquire.contract.messaging.messages import Status
 from acquire.contract.scan_data.dataset_names import CLOUD_NAME, MAPS_NAME, REPORT_NAME, SEALED_NAME, TRUTH_NAME
+from acquire.contract.scan_data.report_file import Report, read_report
 from acquire.contract.states import Outcome
 from tui.text.status_text import outcome_line
 
@@ -24,8 +23,7 @@ class DemoVerdict:
 
     status: Status
     """The daemon's last status of the scan."""
-    report: dict[str, Any]
-    """report.json."""
+    report: Report
     results_s: float | None = None
     """Time from the last frame to maps and cloud on disk; None if the worker did not report it."""
 
@@ -35,25 +33,20 @@ class DemoVerdict:
         return Path(self.status.scan_path)
 
     @property
-    def _truth(self) -> dict[str, Any]:
-        return self.report.get("truth") or {}
-
-    @property
     def failures(self) -> list[str]:
         """Why the demonstration failed; empty if it succeeded."""
-        share, median_um = self._truth.get("share"), self._truth.get("median_um")
+        truth = self.report.truth
         found = []
         if not outcome_line(self.status).startswith("SAVED"):
             found.append(f"the scan is not complete ({outcome_line(self.status)})")
-        if share is None or median_um is None:
+        if truth is None or truth.share is None or truth.median_um is None:
             found.append("the report holds no comparison with the truth")
             return found
-        if share < LEAST_SHARE:
-            found.append(
-                f"only {100 * share:.1f} % of the visible pixels have a point, less than {100 * LEAST_SHARE:.0f} %"
-            )
-        if median_um >= MOST_MEDIAN_UM:
-            found.append(f"the median error of {median_um:.2f} um is not below {MOST_MEDIAN_UM:g} um")
+        if truth.share < LEAST_SHARE:
+            percent = f"{100 * truth.share:.1f} %"
+            found.append(f"only {percent} of the visible pixels have a point, less than {100 * LEAST_SHARE:.0f} %")
+        if truth.median_um >= MOST_MEDIAN_UM:
+            found.append(f"the median error of {truth.median_um:.2f} um is not below {MOST_MEDIAN_UM:g} um")
         return found
 
     @property
@@ -65,17 +58,16 @@ class DemoVerdict:
 
     def findings(self) -> list[str]:
         """The result in a few lines."""
-        points = self.report.get("counts", {}).get("points", 0)
         lines = [
             f"outcome  {outcome_line(self.status)}",
-            f"points   {points}{self._share()}",
+            f"points   {self.report.points or 0}{self._share()}",
             f"error    {self._error()}",
         ]
         return lines + [f"FAILED   {failure}" for failure in self.failures]
 
     def lines(self, url: str) -> list[str]:
         """The whole summary."""
-        counts, timings = self.report.get("counts", {}), self.report.get("timings_s", {})
+        counts, timings = self.report.counts, self.report.timings_s
         stages = "".join(f", {name.replace('_', ' ')} {seconds:.2f} s" for name, seconds in timings.items())
         on_disk = (
             "" if self.results_s is None else f", maps and cloud on disk {self.results_s:.2f} s after the last frame"
@@ -91,39 +83,31 @@ class DemoVerdict:
         ]
 
     def _share(self) -> str:
-        truth = self._truth
-        if truth.get("share") is None:
+        truth = self.report.truth
+        if truth is None or truth.share is None:
             return ""
-        return f" ({100 * truth['share']:.1f} % of {truth['visible_over_contrast']} visible pixels over the contrast)"
+        return f" ({100 * truth.share:.1f} % of {truth.visible_over_contrast} visible pixels over the contrast)"
 
     def _error(self) -> str:
-        truth = self._truth
-        if truth.get("median_um") is None:
+        truth = self.report.truth
+        if truth is None or truth.median_um is None:
             return "unknown: the scan has no truth"
         return (
-            f"median {truth['median_um']:.2f} um, RMS {truth['rms_um']:.2f} um, "
-            f"95 % below {truth['p95_um']:.2f} um (against the simulated truth)"
+            f"median {truth.median_um:.2f} um, RMS {truth.rms_um:.2f} um, "
+            f"95 % below {truth.p95_um:.2f} um (against the simulated truth)"
         )
 
 
-def read_report(folder: Path) -> dict[str, Any] | None:
+def report_of(folder: Path) -> Report | None:
     """report.json of a scan's folder; None if there is none yet.
 
     Raises:
         ScanFileError: it exists but cannot be read.
     """
     path = folder / REPORT_NAME
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise ScanFileError(f"{path} cannot be read: {error}") from None
-    if not isinstance(found, dict):
-        raise ScanFileError(f"{path} is no report: look at it, or run 'sweepscope reconstruct {folder}'")
-    return found
+    return read_report(path) if path.is_file() else None
 
 
-def is_final(report: dict[str, Any] | None, outcome: str) -> bool:
+def is_final(report: Report | None, outcome: str) -> bool:
     """True if the report has the outcome of the scan and the comparison with the truth."""
-    return report is not None and report.get("outcome") == outcome and report.get("truth") is not None
+    return report is not None and report.outcome == outcome and report.truth is not None

@@ -8,16 +8,19 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from acquire.contract.errors import EXIT_FAILED, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.run_dir import is_served
+from acquire.contract.scan_data.dataset_names import REPORT_NAME
+from acquire.contract.scan_data.report_file import Report, read_report
 from acquire.contract.states import State
 from tui.client.follow import Narrator, follow_scan
 from tui.client.rig_client import ProgressFeed, RigClient
 from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
-from tui.demo.report import DemoVerdict, is_final, read_report
+from tui.demo.report import DemoVerdict, is_final, report_of
 from tui.demo.rig import DemoOptions, DemoRig
 from tui.processes.all_services import SERVICES, read_url, say, signals_set
 
@@ -106,15 +109,15 @@ class Demonstration:
         if client.wait_for(lambda s: s.state == State.IDLE and s.position_trusted, HOMING_S) is None:
             raise SweepscopeError(f"the stage was not homed within {HOMING_S:g} s; see the daemon's log")
 
-    def _report(self, end: Status) -> dict[str, object]:
+    def _report(self, end: Status) -> Report:
         self._say("waiting for maps, cloud and report")
-        folder = DemoVerdict(end, {}).folder
-        self._wait(lambda: read_report(folder) is not None, RESULTS_S, "the worker wrote no report")
+        folder = Path(end.scan_path)
+        self._wait(lambda: report_of(folder) is not None, RESULTS_S, "the worker wrote no report")
         try:
-            self._wait(lambda: is_final(read_report(folder), end.outcome), RESULTS_S, "the report is not final")
+            self._wait(lambda: is_final(report_of(folder), end.outcome), RESULTS_S, "the report is not final")
         except NoServiceError as error:
             self._say(str(error))
-        return read_report(folder) or {}
+        return read_report(folder / REPORT_NAME)
 
     def _wait(self, ready: Callable[[], bool], limit_s: float, otherwise: str) -> None:
         end_s = time.monotonic() + limit_s

@@ -8,17 +8,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from acquire.contract.errors import ScanFileError, SweepscopeError
 from acquire.contract.process.run_dir import FileLock, is_locked
-from acquire.contract.scan_data.dataset_names import MAPS_NAME, OWNER_LOCK_NAME, PARTIAL_NAME, REPORT_NAME, SEALED_NAME
+from acquire.contract.scan_data.dataset_names import (
+    CLOUD_NAME,
+    MAPS_NAME,
+    OWNER_LOCK_NAME,
+    PARTIAL_NAME,
+    SEALED_NAME,
+)
 from acquire.contract.scan_data.notes import Notes, notes_of
 from acquire.contract.scan_data.reader import ScanReader
+from acquire.contract.scan_data.report_file import find_report
 from acquire.contract.states import SEALED_OUTCOMES, Outcome, outcome_words
 from acquire.contract.units import format_bytes
 from tui.scans.copies import Copied, copies_of
-from tui.scans.json_file import read_object
 
 ScanState = Literal["running", "sealed", "interrupted", "unreadable"]
 SECONDS_PER_DAY = 86_400
@@ -179,7 +185,8 @@ def read_entry(folder: Path) -> ScanEntry:
     state = _state(folder, layout.path, outcome)
     if state == "interrupted" and outcome == Outcome.RUNNING:
         outcome = Outcome.INTERRUPTED  # its writer died, and recover has not run yet
-    counts = _counts(folder)
+    report = find_report(folder)
+    counts = report.counts if report is not None else {}
     calibrated, days = _calibration(layout.verbatim["calibration"], layout.start_time)
     return ScanEntry(
         folder=folder,
@@ -208,21 +215,14 @@ def _state(folder: Path, path: Path, outcome: str) -> ScanState:
     return "sealed" if path.name != PARTIAL_NAME and outcome in SEALED_OUTCOMES else "interrupted"
 
 
-def _counts(folder: Path) -> dict[str, Any]:
-    counts = read_object(folder / REPORT_NAME).get("counts")
-    return counts if isinstance(counts, dict) else {}
-
-
-def _points(folder: Path, counts: dict[str, Any]) -> int | None:
+def _points(folder: Path, counts: dict[str, int]) -> int | None:
     points = counts.get("points")
-    return points if isinstance(points, int) and (points or (folder / "cloud.ply").is_file()) else None
+    return points if points or (folder / CLOUD_NAME).is_file() else None
 
 
-def _share(counts: dict[str, Any], part: str, whole: str) -> float | None:
-    some, all_of_them = counts.get(part), counts.get(whole)
-    if not isinstance(some, int) or not isinstance(all_of_them, int) or all_of_them <= 0:
-        return None
-    return some / all_of_them
+def _share(counts: dict[str, int], part: str, whole: str) -> float | None:
+    some, all_of_them = counts.get(part), counts.get(whole, 0)
+    return some / all_of_them if some is not None and all_of_them > 0 else None
 
 
 def _calibration(text: bytes, started_utc: str) -> tuple[bool, float | None]:

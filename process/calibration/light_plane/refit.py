@@ -13,8 +13,7 @@ from acquire.contract.calibration import load_calibration
 from acquire.contract.errors import CalibrationError, SweepscopeError
 from acquire.contract.scan_data.file_layout import ScanLayout, read_layout
 from process.calibration.calibration_file import write_document
-from process.results.reconstruct import recorded_in
-from process.results.settings import ReconstructOptions, settle
+from process.results.settings import ReconstructOptions, recorded_in, settle
 
 from .recipe import recipe_in, refit
 

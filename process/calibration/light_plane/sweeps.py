@@ -6,13 +6,13 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.maps_file import read_maps
 from process.crossings.quality import Quality
 from process.results.reconstruct import reconstruct
 from process.results.scan_frames import ScanFrames
@@ -79,9 +79,9 @@ def fold_sweep(
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         options = ReconstructOptions(method=method, edge=edge, contrast=contrast, out=Path(folder), force=True)
         summary = reconstruct(scan, options)
-        with h5py.File(summary.paths.maps) as maps:
-            crossing, sigma, quality = (maps[name][...] for name in ("crossing", "sigma", "quality"))
-            mask, low, high = (maps[name][...] for name in ("mask", "min", "max"))
+        maps = read_maps(summary.paths.maps).arrays
+    crossing, sigma, quality = (maps[name] for name in ("crossing", "sigma", "quality"))
+    mask, low, high = (maps[name] for name in ("mask", "min", "max"))
     with ScanFrames(scan) as frames:
         layout, positions = frames.layout, frames.positions_um()
     name = layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem

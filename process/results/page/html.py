@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from acquire.contract.states import outcome_words
-from process.atomic_write import replacing
 from process.html_templates import png_url, render
+from process.results.result_files import write_result
 
 from .figures import contrast_picture, crossing_picture, histogram_picture, section_picture, two_digits
 from .load import ScanResults
@@ -68,9 +68,7 @@ def write_page(path: Path, results: ScanResults) -> None:
     Raises:
         ResultWriteError: the folder cannot be written to.
     """
-    text = page(results)
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_result(path, page(results).encode())
 
 
 def grouped(number: int) -> str:

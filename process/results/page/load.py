@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.scan_data.file_layout import ScanLayout, read_layout
+from acquire.contract.scan_data.maps_file import read_maps
+from acquire.contract.scan_data.report_file import Report, read_report
 from process.cloud.cloud import LEFT_OUT
 from process.cloud.ply import read_vertices
-from process.results.maps_file import DATASETS, read_source
-from process.results.report import Report, read_report
-from process.results.write import ResultPaths
+from process.results.result_files import ResultPaths
 
 MAKE_THEM = "make the results again with 'sweepscope reconstruct'"
 
@@ -30,7 +29,7 @@ class ScanResults:
     maps: dict[str, NDArray[Any]]
     """min, max, mask, crossing, sigma, quality, colour: [h, w] and [h, w, 3]."""
     cloud: NDArray[Any] | None
-    """Records of ``cloud.VERTEX``, [n]; None without a cloud."""
+    """Records of ``ply.VERTEX``, [n]; None without a cloud."""
     in_cloud: NDArray[np.bool_]
     """[h, w]; its true pixels are the cloud's points in their order, or all false where that is not known."""
 
@@ -53,15 +52,11 @@ def read_results(scan: Path, folder: Path | None = None) -> ScanResults:
     paths = ResultPaths(folder or layout.path.parent)
     if not paths.report.is_file() or not paths.maps.is_file():
         raise ScanFileError(f"{paths.folder} holds no results of {layout.path.name}: {MAKE_THEM}")
-    source, report = read_source(paths.maps), read_report(paths.report)
-    if source.scan_uid != layout.scan_uid:
+    found, report = read_maps(paths.maps), read_report(paths.report)
+    if found.header.scan_uid != layout.scan_uid:
         raise ScanFileError(f"{paths.maps} was made of another scan: {MAKE_THEM}")
-    try:
-        with h5py.File(paths.maps, "r") as file:
-            maps = {name: file[name][()] for name in DATASETS}
-    except (OSError, KeyError, ValueError) as error:
-        raise ScanFileError(f"{paths.maps} is not a readable maps.h5: {str(error)[:120]}; {MAKE_THEM}") from None
-    cloud = read_vertices(paths.cloud, instead=MAKE_THEM) if report.counts["points"] else None
+    maps = found.arrays
+    cloud = read_vertices(paths.cloud, instead=MAKE_THEM) if report.points else None
     kept = np.isfinite(maps["crossing"]) & ((maps["quality"] & LEFT_OUT) == 0)
     if cloud is None or int(kept.sum()) != len(cloud):
         kept = _those_of(cloud, maps, kept)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement
 from viser import _messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._infra import WebsockMessageHandler
 
+from process.cloud.ply import VERTEX, point_records, write_ply
 from process.viewer.markup import STYLE, html_of, legend_html
 from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, power_of_two
 from process.viewer.scene.camera_views import DEFAULT_BOUNDS, FOV_RAD, overview
@@ -25,16 +25,6 @@ from process.viewer.stream.point_nodes import POINT_FILL
 
 PAGE_POINTS = 500_000
 """6 to 10 MB in one file."""
-VERTEX = np.dtype(
-    [
-        *((axis, "<f4") for axis in "xyz"),
-        *((channel, "u1") for channel in ("red", "green", "blue")),
-        ("sigma_um", "<f4"),
-        ("crossing", "<f4"),
-        ("quality", "<u2"),
-    ]
-)
-"""As in cloud.ply; while a scan is live its quality is not known, and 0."""
 
 
 @dataclass(frozen=True)
@@ -74,21 +64,22 @@ def _no_points() -> Tile:
 
 
 def ply_bytes(tiles: Mapping[int, Tile]) -> bytes:
-    """All points as binary little-endian PLY with the fields of cloud.ply."""
-    parts = []
+    """All points as cloud.ply; while a scan is live their quality is not known, and 0."""
+    parts = [np.zeros(0, VERTEX)]
     for tile in tiles.values():
-        records = np.zeros(tile.count, VERTEX)
-        points = tile.points_mm()
-        for axis, name in enumerate("xyz"):
-            records[name] = points[:, axis]
-        for channel, name in enumerate(("red", "green", "blue")):
-            records[name] = tile.rgb[:, channel]
-        records["sigma_um"], records["crossing"] = tile.sigma_um, tile.crossing
-        records["quality"] = tile.quality if tile.quality is not None else 0
-        parts.append(records)
-    element = PlyElement.describe(np.concatenate(parts) if parts else np.zeros(0, VERTEX), "vertex")
+        quality = 0 if tile.quality is None else tile.quality
+        parts.append(
+            point_records(
+                VERTEX,
+                tile.points_mm(),
+                tile.rgb,
+                sigma_um=tile.sigma_um,
+                crossing=tile.crossing,
+                quality=quality,
+            )
+        )
     target = io.BytesIO()
-    PlyData([element], byte_order="<").write(target)
+    write_ply(target, np.concatenate(parts))
     return target.getvalue()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,16 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from process.cloud.ply import read_vertices
+from acquire.contract.scan_data.dataset_names import CLOUD_NAME
+from acquire.contract.scan_data.report_file import find_report
+from process.cloud.ply import VERTEX, read_vertices
 from process.viewer.rig_client.tile import Tile
 
-CLOUD_NAME = "cloud.ply"
-REPORT_NAME = "report.json"
 MOST_LISTED = 200
 MAX_POINTS = 40_000_000
 TILE_POINTS = 6_000
 """Points of one tile of an opened scan, about."""
-FIELDS = ("x", "y", "z", "red", "green", "blue", "sigma_um", "crossing", "quality")
 
 
 @dataclass(frozen=True)
@@ -59,26 +57,9 @@ def list_scans(data_dir: Path) -> list[Entry]:
     return [_entry(folder) for folder in reversed(with_cloud[-MOST_LISTED:])]
 
 
-def read_report(folder: Path) -> dict[str, object]:
-    """report.json of a scan; empty where there is none or it cannot be read."""
-    try:
-        found = json.loads((folder / REPORT_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
 def _entry(folder: Path) -> Entry:
-    report = read_report(folder)
-    counts = report.get("counts")
-    points = counts.get("points") if isinstance(counts, dict) else None
-    outcome = report.get("outcome")
-    return Entry(
-        folder,
-        folder.name,
-        outcome if isinstance(outcome, str) else "",
-        points if isinstance(points, int) else None,
-    )
+    report = find_report(folder)
+    return Entry(folder, folder.name, report.outcome if report else "", report.points if report else None)
 
 
 def open_scan(entry: Entry) -> Opened:
@@ -89,7 +70,7 @@ def open_scan(entry: Entry) -> Opened:
     """
     path = entry.folder / CLOUD_NAME
     vertices = read_vertices(path, instead="'sweepscope reconstruct' makes it anew")
-    missing = [name for name in FIELDS if name not in (vertices.dtype.names or ())]
+    missing = [name for name in VERTEX.names or () if name not in (vertices.dtype.names or ())]
     if missing:
         raise ScanFileError(f"{path} has no {', '.join(missing)}: it is not one of our clouds")
     if len(vertices) > MAX_POINTS:

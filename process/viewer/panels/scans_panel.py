@@ -15,11 +15,12 @@ from typing import Any
 import viser
 
 from acquire.contract.errors import SweepscopeError
+from acquire.contract.scan_data.report_file import find_report
 from acquire.contract.states import Outcome
 from acquire.contract.units import NS_PER_S
 from process.viewer.exports.exports import View
 from process.viewer.exports.files import file_of, report_of, screenshot_of
-from process.viewer.exports.results_list import Entry, Opened, list_scans, open_scan, read_report
+from process.viewer.exports.results_list import Entry, Opened, list_scans, open_scan
 from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Tile
@@ -232,15 +233,13 @@ class ScansPanel:
     def _facts(self) -> list[tuple[str, str]]:
         """Outcome, numbers and settings, as the report has them."""
         folder = self._folder()
-        report = read_report(folder) if folder is not None else {}
-        facts = [("Outcome", str(report["outcome"]))] if "outcome" in report else [("Outcome", "still running")]
-        for part, names in (("counts", ("frames", "missing", "points")), ("settings", ("method", "contrast", "edge"))):
-            found = report.get(part)
-            if isinstance(found, dict):
-                facts += [(name.capitalize(), str(found[name])) for name in names if name in found]
-        if "digest" in report:
-            facts.append(("Digest", str(report["digest"])[:16]))
-        return facts
+        report = find_report(folder) if folder is not None else None
+        if report is None:
+            return [("Outcome", "still running")]
+        facts = [("Outcome", report.outcome or "still running")]
+        values, names = report.counts | report.settings, ("frames", "missing", "points", "method", "contrast", "edge")
+        facts += [(name.capitalize(), str(values[name])) for name in names if name in values]
+        return [*facts, ("Digest", report.digest[:16])] if report.digest else facts
 
     @property
     def pickable(self) -> Mapping[int, Tile]:

@@ -16,13 +16,13 @@ from plyfile import PlyData
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError
 from acquire.contract.messaging.messages import FrameFormat, Image, Start
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.bayer import demosaiced
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.scan_data.dataset_names import FRAME_FIELDS
 from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import Outcome
 from acquire.writer.scan_file import create_scan
 from process.results.reconstruct import reconstruct
-from process.results.scan_frames import displayed
 from process.results.settings import ReconstructOptions
 from tests.fakes.processes.sweep_source import calibration_json, edge_frames
 
@@ -248,7 +248,7 @@ def test_bayer_frames_are_demosaiced_on_reading(make_scan):
     summary = reconstruct(scan, ReconstructOptions(contrast=50))
     rgb = summary.results.cloud.rgb.astype(float).mean(axis=0)
     assert rgb[0] > rgb[1] > rgb[2], "the light is tinted: red 1.0, green 0.9, blue 0.7"
-    assert displayed(raw[0], "bayer_rggb").shape == (HEIGHT, WIDTH, 3)
+    assert demosaiced(raw[0], "bayer_rggb").shape == (HEIGHT, WIDTH, 3)
 
 
 def test_twelve_bit_frames_give_the_same_points_as_their_eight_bits(make_scan, tmp_path):

@@ -15,11 +15,11 @@ from acquire.contract.plan import SweepPlan
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.states import Outcome
 from acquire.writer.scan_file import create_scan
-from process.atomic_write import ResultWriteError
 from process.results.page.figures import two_digits
 from process.results.page.html import assess, page, write_page
 from process.results.page.load import ScanResults, read_results
 from process.results.reconstruct import reconstruct
+from process.results.result_files import ResultWriteError
 from process.results.settings import ReconstructOptions
 from tests.fakes.processes.sweep_source import calibration_json, edge_frames
 from tui.cli import run

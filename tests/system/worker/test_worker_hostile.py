@@ -11,7 +11,7 @@ import pytest
 
 from acquire.contract.config.load import load_config
 from acquire.contract.messaging.codec import encode
-from process.atomic_write import ResultWriteError
+from process.results.result_files import ResultWriteError
 from process.worker import session as session_module
 from process.worker.service import Worker
 from tests.fakes.processes.sweep_source import SweepSource, edge_frames

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import ResultProgress
+from acquire.contract.scan_data import maps_file
 from acquire.contract.scan_data.dataset_names import MAPS_NAME
 from acquire.contract.scan_data.file_layout import read_layout
 from tui.console.link.rig_view import MapsView
-from tui.console.pictures.maps import MEDIAN_PX, MapSet
+from tui.console.pictures.maps import MapSet
 
 MAX_SAMPLES = 1_000_000
 """Larger maps are sampled, so that a new threshold shows within a blink; 1024 x 768 are whole."""
@@ -32,27 +31,19 @@ def read_maps(folder: Path) -> MapSet:
     if not path.is_file():
         raise ScanFileError(f"{folder.name} has no {MAPS_NAME} yet: reconstruct it first")
     bit_depth, frames = _of_scan(folder)
-    try:
-        with h5py.File(path, "r") as file:
-            height, width = file["min"].shape
-            step = max(1, math.ceil(math.sqrt(height * width / MAX_SAMPLES)))
-            low, high, crossing = (file[name][::step][:, ::step] for name in ("min", "max", "crossing"))
-            if not low.shape == high.shape == crossing.shape or low.dtype.kind != "u" or crossing.dtype.kind != "f":
-                raise ScanFileError(f"{path} holds maps of different shapes or types: reconstruct the scan again")
-            return MapSet(
-                minimum=low.astype(np.uint16),
-                maximum=high.astype(np.uint16),
-                crossing=crossing.astype(np.float32),
-                step=step,
-                contrast=int(file.attrs["contrast"]),
-                bit_depth=bit_depth or (8 if low.dtype == np.uint8 else 16),
-                folded_through=int(file.attrs["folded_through"]),
-                frames=frames,
-                median_px=int(file.attrs.get("median", MEDIAN_PX)),
-            )
-    except (OSError, KeyError, ValueError, RuntimeError, TypeError, AttributeError) as error:
-        detail = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise ScanFileError(f"{path} is not a readable maps.h5: {detail}; reconstruct the scan again") from None
+    found = maps_file.read_maps(path, ("min", "max", "crossing"), max_samples=MAX_SAMPLES)
+    low = found.arrays["min"]
+    return MapSet(
+        minimum=low.astype(np.uint16),
+        maximum=found.arrays["max"].astype(np.uint16),
+        crossing=found.arrays["crossing"].astype(np.float32),
+        step=found.step,
+        contrast=found.header.contrast,
+        bit_depth=bit_depth or (8 if low.dtype == np.uint8 else 16),
+        folded_through=found.header.folded_through,
+        frames=frames,
+        median_px=found.header.median,
+    )
 
 
 def _of_scan(folder: Path) -> tuple[int, int]:

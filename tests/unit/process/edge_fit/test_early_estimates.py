@@ -20,11 +20,10 @@ from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import refine, starts
 from process.edge_fit.weighting import Sequence, Watch
 from process.fold.fold import Fold
+from process.results.final_maps import new_fold
 from process.results.fold_cursor import FoldCursor
-from process.results.reconstruct import recorded_in
 from process.results.scan_frames import ScanFrames
-from process.results.settings import ReconstructOptions, settle
-from process.results.write import new_fold
+from process.results.settings import ReconstructOptions, recorded_in, settle
 from process.worker.fit_ahead import Ahead
 from tests.fakes.processes.sweep_source import edge_frames
 

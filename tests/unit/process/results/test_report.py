@@ -13,20 +13,18 @@ from acquire.contract.calibration import PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
-from process.cloud.cloud import Cloud
+from acquire.contract.scan_data.report_file import NoiseFound, Report, Speed, SweepChecks, read_report, report_bytes
+from process.cloud.cloud import PointCloud
 from process.edge_fit.noise_model import NoiseModel
 from process.results.report import (
-    Report,
-    Speed,
-    SweepChecks,
-    checks_of,
+    age_warnings,
+    calibration_used,
     contrast_histogram,
-    read_report,
+    noise_found,
+    quality_warnings,
     sweep_speed,
     truth_errors,
-    write_report,
 )
-from process.results.report_findings import NoiseFound, age_warning, calibration_used, noise_found, quality_warnings
 from process.results.settings import ReconstructOptions, Recorded, Settings, settle
 from process.results.timings import Timings
 from tests.fakes.processes.sweep_source import calibration_json
@@ -78,9 +76,9 @@ def write_truth(path: Path, points: np.ndarray, visible: list[int], amplitude: l
         file["amplitude"] = np.array([amplitude])
 
 
-def cloud_at(points: np.ndarray, pixels: list[int]) -> Cloud:
+def cloud_at(points: np.ndarray, pixels: list[int]) -> PointCloud:
     n = len(pixels)
-    return Cloud(points, np.zeros((n, 3), np.uint8), np.zeros(n, np.float32), np.zeros(n), np.zeros(n, np.uint16),
+    return PointCloud(points, np.zeros((n, 3), np.uint8), np.zeros(n, np.float32), np.zeros(n), np.zeros(n, np.uint16),
                  np.array(pixels, np.intp))  # fmt: skip
 
 
@@ -131,7 +129,7 @@ def report() -> Report:
 
 
 def test_a_report_of_an_earlier_version_can_be_read(tmp_path):
-    write_report(tmp_path / "report.json", report())
+    (tmp_path / "report.json").write_bytes(report_bytes(report()))
     fields = json.loads((tmp_path / "report.json").read_text())
     for later in ("noise", "calibration", "processor_s"):
         del fields[later]
@@ -149,12 +147,12 @@ def test_the_stages_of_a_reconstruction_are_timed_by_clock_and_processor():
 
 
 def test_a_report_reads_back_as_it_was_written(tmp_path):
-    write_report(tmp_path / "report.json", report())
+    (tmp_path / "report.json").write_bytes(report_bytes(report()))
     assert read_report(tmp_path / "report.json") == report()
 
 
 def test_what_is_not_known_stands_there_as_null(tmp_path):
-    write_report(tmp_path / "report.json", report())
+    (tmp_path / "report.json").write_bytes(report_bytes(report()))
     found = json.loads((tmp_path / "report.json").read_text())
     unknown = {"steps_lost": None, "brightness_change": None, "light_changed_at": None}
     assert found["sweep"] == {"drift_px": 0.5, **unknown}
@@ -168,7 +166,7 @@ def test_a_report_that_cannot_be_read_is_named(tmp_path):
 
 
 def test_only_the_checks_that_were_measured_are_taken():
-    assert checks_of({"drift_px": 1.0, "other": 2.0}) == SweepChecks(drift_px=1.0)
+    assert SweepChecks.of({"drift_px": 1.0, "other": 2.0}) == SweepChecks(drift_px=1.0)
 
 
 FOUND = {"crossings": 1000, "saturated": 0, "plateau_not_reached": 0, "no_dark_level": 0, "lit_at_start": 0}
@@ -224,9 +222,9 @@ def test_the_calibration_used_has_an_age_and_an_old_one_is_warned_of():
     used = calibration_used(settings, "2026-02-10T12:00:00Z")
     assert used is not None and used.source == "the scan" and len(used.sha256) == 64
     assert used.age_days == 40.5
-    (said,) = age_warning(settings, used)
+    (said,) = age_warnings(settings, used)
     assert "40 days old" in said and "meant for 30" in said
-    assert age_warning(settings, calibration_used(settings, "2026-01-20T00:00:00Z")) == []
+    assert age_warnings(settings, calibration_used(settings, "2026-01-20T00:00:00Z")) == []
 
 
 @pytest.mark.parametrize("created", [None, "yesterday", "2026-01-01T00:00:00"])

@@ -14,6 +14,7 @@ from zmq.utils.garbage import gc as zmq_garbage
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.lanes import bind
 from acquire.contract.messaging.messages import End
+from acquire.contract.scan_data.maps_file import sample_step
 from acquire.contract.states import Outcome
 from process.worker import live_maps
 from process.worker.publisher import Outbox
@@ -79,7 +80,7 @@ def planes(message, payload: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     ("size", "step"), [((48, 64), 1), ((768, 1024), 2), ((3648, 5472), 11), ((1, 16_384), 1), ((16_384, 16_384), 37)]
 )
 def test_samples_are_as_near_as_the_bound_allows(size, step):
-    found = live_maps.sample_step(*size)
+    found = sample_step(*size, live_maps.MAX_SAMPLES)
     assert found == step
     assert -(-size[0] // found) * -(-size[1] // found) <= live_maps.MAX_SAMPLES
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from acquire.contract.messaging.point_record import POINT
-from process.cloud.cloud import Cloud
+from process.cloud.cloud import PointCloud
 from process.worker.live_tiles import MAX_TILES, LiveTiles, TileGrid
 
 WIDTH, HEIGHT = 200, 130
 
 
-def cloud_of(pixels: list[int], crossing: float = 5.0) -> Cloud:
+def cloud_of(pixels: list[int], crossing: float = 5.0) -> PointCloud:
     n = len(pixels)
     at = np.array(sorted(pixels), np.intp)
     points = np.stack([at % WIDTH * 0.007 - 40.0, at // WIDTH * 0.007 + 90.0, np.full(n, 0.25)], axis=1)
-    return Cloud(
+    return PointCloud(
         points_mm=points,
         rgb=np.full((n, 3), 9, np.uint8),
         sigma_um=np.full(n, 0.5, np.float32),
@@ -25,7 +25,7 @@ def cloud_of(pixels: list[int], crossing: float = 5.0) -> Cloud:
     )
 
 
-def none(cloud: Cloud) -> np.ndarray:
+def none(cloud: PointCloud) -> np.ndarray:
     return np.zeros(len(cloud), bool)
 
 

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import json
 
-import msgspec
 import pytest
+from msgspec.structs import replace
 
 from acquire.contract.errors import ConfigError, ScanFileError
+from acquire.contract.scan_data.report_file import Report, TruthErrors
 from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import SWEEPING
-from tui.demo.report import DemoVerdict, is_final, read_report
+from tui.demo.report import DemoVerdict, is_final, report_of
 from tui.demo.rig import DemoOptions, DemoRig
 
-SAVED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
+SAVED = replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
 TRUTH = {
     "median_um": 0.44, "rms_um": 14.5, "p95_um": 1.22, "share": 0.999, "visible_over_contrast": 71_601,
 }  # fmt: skip
 
 
 def verdict(status=SAVED, **truth) -> DemoVerdict:
-    return DemoVerdict(status, {"outcome": "complete", "counts": {"points": 73_177}, "truth": {**TRUTH, **truth}})
+    errors = TruthErrors(points=73_177, points_beside=0, reconstructed=71_529, **TRUTH | truth)
+    return DemoVerdict(status, Report(outcome="complete", counts={"points": 73_177}, truth=errors))
 
 
 def test_a_complete_scan_near_the_truth_succeeds():
@@ -38,11 +40,11 @@ def test_too_few_points_or_too_large_an_error_fail(name, value):
 
 
 def test_a_report_without_truth_fails():
-    assert DemoVerdict(SAVED, {"counts": {}, "truth": None}).exit_status == 1
+    assert DemoVerdict(SAVED, Report(counts={})).exit_status == 1
 
 
 def test_a_scan_that_lacks_frames_is_incomplete_whatever_its_points():
-    stopped = msgspec.structs.replace(SAVED, outcome=Outcome.STOPPED, committed=400, missing=127)
+    stopped = replace(SAVED, outcome=Outcome.STOPPED, committed=400, missing=127)
     assert verdict(stopped).exit_status == 4
 
 
@@ -54,19 +56,20 @@ def test_the_summary_has_points_error_timings_and_the_address():
 
 def test_a_report_is_final_when_it_has_the_outcome_and_the_truth():
     assert not is_final(None, "complete")
-    assert not is_final({"outcome": "running", "truth": {}}, "complete")
-    assert not is_final({"outcome": "complete", "truth": None}, "complete")
-    assert is_final({"outcome": "complete", "truth": {}}, "complete")
+    report = verdict().report
+    assert not is_final(replace(report, outcome="running"), "complete")
+    assert not is_final(replace(report, truth=None), "complete")
+    assert is_final(report, "complete")
 
 
 def test_a_damaged_report_is_told_by_its_path(tmp_path):
-    assert read_report(tmp_path) is None
+    assert report_of(tmp_path) is None
     (tmp_path / "report.json").write_text("{")
     with pytest.raises(ScanFileError, match=r"report\.json"):
-        read_report(tmp_path)
+        report_of(tmp_path)
     (tmp_path / "report.json").write_text(json.dumps([1]))
-    with pytest.raises(ScanFileError, match="no report"):
-        read_report(tmp_path)
+    with pytest.raises(ScanFileError, match="not a readable report"):
+        report_of(tmp_path)
 
 
 def test_the_demonstration_reads_no_configuration_of_this_machine(tmp_path, monkeypatch):
