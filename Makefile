@@ -58,7 +58,7 @@ test: system-packages $(TEST_STAMP) lint $(KERNELS)
 
 # make bench BENCH=console, or BENCH="estimates --speed"; without it fold and pipeline
 BENCH ?=
-bench: $(TEST_STAMP)
+bench: $(TEST_STAMP) $(KERNELS)
 ifeq ($(BENCH),)
 	$(PY) -m tests.bench fold
 	$(PY) -m tests.bench pipeline

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -19,6 +18,7 @@ from urllib.parse import parse_qs, urlsplit
 from tests.fakes.fake_results import hill_tiles
 from tests.fakes.processes.viewer_process import request
 from tests.system.viewer.test_connection import Browser, serving
+from tui.processes.supervisor import own_command
 
 TILES_AT_ONCE = 24
 GIVE_UP_S = 120.0
@@ -52,8 +52,7 @@ def bench_points(bound_bytes_per_s: float) -> str:
 def bench_demo() -> None:
     """Bytes of each second of a demonstration, and when the first points came."""
     begin = time.monotonic()
-    command = [sys.executable, "-m", "tui.cli", "demo"]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(own_command("demo"), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     found: list[str] = []
     threading.Thread(target=_follow, args=(process.stdout, found), daemon=True).start()
     while not found and process.poll() is None:

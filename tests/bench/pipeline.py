@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,10 +17,11 @@ import zmq
 from numpy.typing import NDArray
 
 from tests.bench.publisher import Marks, Publisher
+from tui.processes.supervisor import own_command
 
 FRAMES_BYTES: Final = 600_000_000
 """Memory for frames made beforehand; a sweep that needs more repeats each of its frames."""
-_SERVICES: Final = ("writer", "worker")
+SERVICES: Final = ("writer", "worker")
 
 
 def bench_pipeline(
@@ -97,11 +97,10 @@ def _services(place: Path, shape: tuple[int, int]) -> Iterator[dict[str, int]]:
     environ = {**os.environ, "SWEEPSCOPE_RUN": str(place), **{f"SWEEPSCOPE_{key}": settings[key] for key in settings}}
     children: list[subprocess.Popen[bytes]] = []
     try:
-        for name in _SERVICES:
+        for name in SERVICES:
             with (place / f"{name}.log").open("wb") as log:
-                command = [sys.executable, "-m", "tui.cli", name]
-                children.append(subprocess.Popen(command, env=environ, stdout=log, stderr=log))
-        yield {name: child.pid for name, child in zip(_SERVICES, children, strict=True)}
+                children.append(subprocess.Popen(own_command(name), env=environ, stdout=log, stderr=log))
+        yield {name: child.pid for name, child in zip(SERVICES, children, strict=True)}
     finally:
         for child in children:
             child.terminate()

@@ -10,7 +10,6 @@ import shutil
 import signal
 import struct
 import subprocess
-import sys
 import termios
 import threading
 import time
@@ -18,8 +17,9 @@ from pathlib import Path
 from typing import Self
 
 from acquire.contract.errors import SweepscopeError
+from tui.processes.supervisor import own_command
 
-CONSOLE = (sys.executable, "-m", "tui.cli", "console")
+CONSOLE = own_command("console")
 LOOK_S = 0.002
 ANSWER_S = 30.0
 

@@ -22,7 +22,7 @@ def test_a_small_sweep_gets_through_writer_and_worker() -> None:
 
 
 def test_a_benchmark_without_services_gives_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "_SERVICES", ())
+    monkeypatch.setattr(bench, "SERVICES", ())
     monkeypatch.setattr(bench_publisher, "READY_S", 0.3)
     with pytest.raises(NoServiceError, match="writer and worker not within"):
         bench.bench_pipeline(4, (48, 64))
@@ -30,7 +30,7 @@ def test_a_benchmark_without_services_gives_up_in_time(monkeypatch: pytest.Monke
 
 def test_nothing_is_left_of_a_benchmark(monkeypatch: pytest.MonkeyPatch, run_dir: Path) -> None:
     monkeypatch.setattr(bench.tempfile, "tempdir", str(run_dir))
-    monkeypatch.setattr(bench, "_SERVICES", ())
+    monkeypatch.setattr(bench, "SERVICES", ())
     monkeypatch.setattr(bench_publisher, "READY_S", 0.1)
     with pytest.raises(NoServiceError):
         bench.bench_pipeline(4, (48, 64))

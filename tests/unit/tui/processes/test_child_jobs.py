@@ -10,7 +10,7 @@ import pytest
 
 from acquire.contract.errors import SweepscopeError
 from tests.waiting import wait_for
-from tui.processes import child_jobs as jobs_module
+from tui.processes import child_jobs
 from tui.processes.child_jobs import Job, JobBoard
 
 PROGRAM = [sys.executable, "-S", "-c"]
@@ -84,7 +84,7 @@ def test_a_cancelled_job_can_clean_up_and_is_called_cancelled(board, watch, tmp_
 
 
 def test_a_child_that_ignores_the_request_is_killed(board, watch, monkeypatch):
-    monkeypatch.setattr(jobs_module, "CANCEL_S", 0.1)
+    monkeypatch.setattr(child_jobs, "CANCEL_S", 0.1)
     job = board.start("wait", [f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); {WAITS}"], "scan")
     watch.wait_for(lambda job: job.done == 1)
     board.cancel(job.number)

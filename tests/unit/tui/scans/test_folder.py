@@ -16,7 +16,7 @@ from acquire.contract.scan_data.notes import Notes, notes_of, write_notes
 from acquire.writer.verify import info
 from tests.fakes.scans.small_scans import make_scan
 from tui.cli import run
-from tui.scans import copies as scan_copies
+from tui.scans import copies
 from tui.scans.copies import copies_of, copy_scan
 from tui.scans.folder import ScanFolder, read_entry, scan_folder
 from tui.scans.trash import trash_scan
@@ -116,15 +116,12 @@ def test_a_copy_that_arrives_damaged_is_refused_and_nothing_is_left_of_it(tmp_pa
     dest.mkdir()
     before = contents(folder)
 
-    def spoiling(source, target, count):
-        digest = copied(source, target, count)
+    def spoil(_source: Path, target: Path) -> None:
         data = bytearray(target.read_bytes())
         data[-1] ^= 1
         target.write_bytes(data)
-        return digest
 
-    copied = scan_copies._copied
-    monkeypatch.setattr(scan_copies, "_copied", spoiling)
+    monkeypatch.setattr(copies.shutil, "copystat", spoil)  # the last that happens to a file before it is verified
     with pytest.raises(ScanFileError, match="arrived damaged"):
         copy_scan(folder, dest)
     assert list(dest.iterdir()) == [] and contents(folder) == before
@@ -151,7 +148,7 @@ def test_copies_to_impossible_places_are_refused_before_anything_is_written(tmp_
     ):
         with pytest.raises(ScanFileError, match=why):
             copy_scan(folder, dest)
-    monkeypatch.setattr(scan_copies.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 10})())
+    monkeypatch.setattr(copies.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 10})())
     with pytest.raises(ScanFileError, match="make room"):
         copy_scan(folder, tmp_path)
     (folder / "sub").mkdir()
