@@ -15,13 +15,13 @@ from process.cloud.ply import write_ply
 from process.cloud.triangulation import coordinates, plane_table, rays
 from process.crossings.maps import Maps, empty_samples
 from process.crossings.two_sample_kernels import sample_columns
-from process.edge_fit.early_estimates import Found, examine_pixels, follow_pixels
+from process.edge_fit.early_estimates import EdgeEstimates, estimate_pixels, follow_pixels
 from process.edge_fit.filters import filtered
 from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.pixel_kernels import FITTED
 from process.edge_fit.refine import refine
-from process.edge_fit.weighting import Sequence, Weighing, first_at_half
+from process.edge_fit.weighting import EdgeWeighting, FrameSequence, first_at_half
 from process.fold.fold import Fold
 from process.results.report import versions
 from process.results.write import map_arrays
@@ -60,13 +60,13 @@ def _estimate(maps: Maps, fold: Fold, bit_depth: int) -> None:
     """Estimate the whole edges of a scan of this depth, and read pixels that the log does not know."""
     levels = np.stack([_frame(k, bit_depth, 1) for k in range(FRAMES)])
     sample_columns(np.ascontiguousarray(levels[:, 0, :1]), empty_samples(1))
-    sequence = Sequence(columns_of_stack(levels), fold.present, "rising", bit_depth)
+    sequence = FrameSequence(columns_of_stack(levels), fold.present, "rising", bit_depth)
     filtered(refine(maps, "auto", sequence, 1.0).maps)
     pixel, start, extent = np.zeros(1, np.int64), np.ones(1, np.int64), np.ones(1)
-    weighing = Weighing(assumed_noise(1.0), 1.0)
-    found = examine_pixels(sequence, weighing, pixel, start, extent, local=True, early=True)
-    known = Found(np.full(1, FITTED), found.columns, np.zeros(1, np.int64))
-    follow_pixels(sequence, weighing, pixel, start, known)
+    weighting = EdgeWeighting(assumed_noise(1.0), 1.0)
+    found = estimate_pixels(sequence, weighting, pixel, start, extent, local=True, early=True)
+    known = EdgeEstimates(np.full(1, FITTED), found.columns, np.zeros(1, np.int64))
+    follow_pixels(sequence, weighting, pixel, start, known)
     first_at_half(sequence.columns(pixel, 0 * start, start), sequence.full, 1, start)
 
 

@@ -1,1 +1,1 @@
-"""Owns the estimates of a crossing that look at more than two samples, what the noise is, and how good both are."""
+"""Crossings from the whole edge of a pixel: erf fit, noise model, filters. Beyond the paper (docs/accuracy.md)."""

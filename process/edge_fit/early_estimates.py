@@ -1,7 +1,8 @@
-"""Owns the estimates made while a sweep runs, of pixels whose edge has passed: that much less is left to its end.
+"""Edge fits made while a sweep still runs, of pixels whose edge has passed, so that less is left to do at its end.
 
-Promises nothing but time: an estimate is kept only where no later frame can change it, and only its pixel's own
-frames, the first of them at half brightness and the weighing enter it. Without any of them the result is the same.
+They save time and never change the result: an estimate is a function of its pixel's own frames, its first frame at half
+brightness and the weighting of the scan, and it is kept only where no later frame can change it
+(docs/decisions/0010-fit-edges-during-the-sweep.md). Places are numbers of frames among the folded ones, int64.
 """
 
 from __future__ import annotations
@@ -21,116 +22,137 @@ from process.edge_fit.pixel_kernels import (
     LOCAL,
     MOST_EXTENT,
     NOTHING,
-    examine_rows,
+    estimate_rows,
     follow_rows,
 )
-from process.edge_fit.weighting import Sequence, Watch, Weighing
+from process.edge_fit.weighting import EdgeWeighting, FrameSequence, WeightingFinder
 
 AT_ONCE = 256
-"""Pixels examined in one go: a few milliseconds."""
+"""Pixels estimated at once: a few milliseconds of work."""
 FOLLOWED_AT_ONCE = 4096
-"""Pixels whose light is followed in one go, likewise."""
+"""Pixels whose later light is followed at once, likewise."""
 FIRST_AGE = 16
-"""Frames after a crossing when its pixel is first examined."""
+"""Frames after a crossing at which its pixel is first estimated."""
 LATER = 4
-"""Frames that are waited for beyond those that an edge asked for: with more of it, it may ask for more."""
+"""Frames waited for beyond those that an estimate asked for: with more samples it may ask for more."""
 STALE = 16
-"""Frames that may follow before the light of a pixel is followed on."""
+"""Frames that may arrive before the light of a pixel is followed further."""
 TABLE_BYTES = 96_000_000
-"""Most bytes of estimates kept; the rest of a scan's are made at its end."""
+"""Most bytes of estimates kept; all others are made at the end of the scan."""
 
 I8 = NDArray[np.int64]
 
 
-class Found(NamedTuple):
-    """Estimates of pixels, [p] and [p, COLUMNS] of ``block_kernels``."""
+class EdgeEstimates(NamedTuple):
+    """Estimates of pixels."""
 
     outcome: I8
+    """[p], one of ``pixel_kernels.NOTHING, FITTED, LOCAL, NOISE``."""
     columns: NDArray[np.float64]
+    """[p, COLUMNS], see ``pixel_kernels.LOW`` and the following."""
     seen: I8
-    """Place up to which the light was followed; 0 where the outcome is NOTHING."""
+    """[p], place up to which the light was followed; 0 where the outcome is NOTHING."""
 
     @classmethod
-    def none(cls, pixels: int) -> Found:
-        """Nothing known."""
+    def empty(cls, pixels: int) -> EdgeEstimates:
+        """Estimates without any outcome."""
         return cls(np.full(pixels, NOTHING), np.zeros((pixels, COLUMNS)), np.zeros(pixels, np.int64))
 
-    def of(self, some: I8) -> Found:
-        """A copy of some of them."""
-        return Found(self.outcome[some], self.columns[some], self.seen[some])
+    def take(self, some: I8) -> EdgeEstimates:
+        """A copy of some of them, [q] indices."""
+        return EdgeEstimates(self.outcome[some], self.columns[some], self.seen[some])
 
 
-def stretch_of(start: I8, frames: int) -> tuple[I8, I8]:
-    """First and end place of what is looked at about a first crossing."""
+def search_window(start: I8, frames: int) -> tuple[I8, I8]:
+    """First and end place of the frames in which the edge of a first crossing is looked for."""
     return np.maximum(start - FAR, 0), np.minimum(start + FAR, frames)
 
 
-def examine_pixels(
-    sequence: Sequence,
-    weighing: Weighing,
+def estimate_pixels(
+    sequence: FrameSequence,
+    weighting: EdgeWeighting,
     pixels: I8,
     start: I8,
     extent: NDArray[np.float64],
     *,
     local: bool,
     early: bool = False,
-) -> Found:
-    """Examine the edges of some pixels anew (``block_kernels.examine_rows``)."""
-    found = Found.none(len(pixels))
+) -> EdgeEstimates:
+    """Estimate the edges of some pixels from their frames (``pixel_kernels.estimate_rows``).
+
+    Args:
+        sequence: the frames.
+        weighting: noise and sharp width of the scan.
+        pixels: [p] flat indices.
+        start: [p] place of the first frame at or above half brightness.
+        extent: [p] range of the pixel over the sweep, levels.
+        local: sharp or uneven edges get their crossing from the two samples beside it.
+        early: more frames are to come; estimates that they could change get the outcome NOTHING.
+    """
+    found = EdgeEstimates.empty(len(pixels))
     if not len(pixels):
         return found
-    first, end = stretch_of(start, len(sequence.present))
+    first, end = search_window(start, len(sequence.present))
     rows = sequence.columns(pixels, first, end)
-    told = (weighing.told(sequence), weighing.sharp_width, local, early)
-    examine_rows(rows, sequence.full, sequence.times, first, end, start, extent, *told, found.outcome, found.columns)
+    options = (weighting.noise_coefficients(sequence), weighting.sharp_width, local, early)
+    estimate_rows(
+        rows, sequence.full, sequence.times, first, end, start, extent, *options, found.outcome, found.columns
+    )
     found.seen[:] = end
     return found
 
 
-def follow_pixels(sequence: Sequence, weighing: Weighing, pixels: I8, start: I8, found: Found) -> None:
-    """Follow the light of pixels that are known already to the end of their stretch; changes ``found``."""
-    _, end = stretch_of(start, len(sequence.present))
+def follow_pixels(
+    sequence: FrameSequence, weighting: EdgeWeighting, pixels: I8, start: I8, found: EdgeEstimates
+) -> None:
+    """Follow the later light of pixels with an estimate to the end of their search window; changes ``found``."""
+    _, end = search_window(start, len(sequence.present))
     some = np.flatnonzero((found.seen < end) & (found.outcome == FITTED))
     if not len(some):
         return
     first, end, outcome, columns = found.seen[some], end[some], found.outcome[some], found.columns[some]
     rows = sequence.columns(pixels[some], first, end)
-    follow_rows(rows, sequence.full, sequence.times, first, end, weighing.told(sequence), outcome, columns)
+    follow_rows(
+        rows, sequence.full, sequence.times, first, end, weighting.noise_coefficients(sequence), outcome, columns
+    )
     found.columns[some], found.seen[some] = columns, end
 
 
 class EarlyEstimates:
-    """Estimates of one sweep. One thread at a time."""
+    """The early estimates of one sweep. One thread at a time."""
 
     def __init__(self, shape: tuple[int, int], fallback: NoiseModel, *, local: bool) -> None:
-        """shape: (height, width). local: as in ``block_kernels.examine``."""
-        self.watch = Watch(shape, fallback)
+        """shape: (height, width); fallback: noise where the frames do not tell; local: as in estimate_pixels."""
+        self.weighting_finder = WeightingFinder(shape, fallback)
         self._local = local
         pixels = shape[0] * shape[1]
         self._entry: NDArray[np.int32] = np.full(pixels, -1, np.int32)
-        """Row of the table that holds a pixel's estimate; -1 where there is none."""
+        """[pixels] row of the table with a pixel's estimate; -1 for none."""
         self._due: NDArray[np.int32] = np.zeros(pixels, np.int32)
-        """Number of folded frames from which on it is worth a try."""
+        """[pixels] number of folded frames from which on the pixel is tried again."""
         room = min(pixels, TABLE_BYTES // (8 * COLUMNS + 32))
         self._pixel, self._start = np.empty(room, np.int64), np.empty(room, np.int64)
-        self._table = Found.none(room)
+        self._table = EdgeEstimates.empty(room)
         self.kept = 0
-        """Rows of the table in use."""
+        """Rows in use of the table."""
         self._queue: list[tuple[I8, I8, NDArray[np.float64]]] = []
         self._stale: list[I8] = []
 
     @staticmethod
     def bytes_needed(shape: tuple[int, int]) -> int:
-        """Memory in bytes at most."""
+        """Most memory in bytes for a shape (height, width)."""
         return shape[0] * shape[1] * 8 + min(TABLE_BYTES, shape[0] * shape[1] * (8 * COLUMNS + 32))
 
     @property
     def busy(self) -> bool:
-        """There is something to be done."""
-        return self.watch.weighing is not None and bool(self._queue or self._stale)
+        """True if there is something to do."""
+        return self.weighting_finder.weighting is not None and bool(self._queue or self._stale)
 
     def propose(self, maps: Maps, start: I8, folded: int) -> None:
-        """Queue the pixels of ``maps`` that are old enough; start [h * w]: place of their first crossing, -1 none."""
+        """Queue the pixels of ``maps`` whose edge has passed.
+
+        start: [h * w] place of the first frame at or above half brightness, -1 for none; folded: number of frames.
+        """
         wanted = np.flatnonzero((start >= 0) & (start + FIRST_AGE <= folded) & (self._due <= folded))
         entry = self._entry[wanted]
         wanted = wanted[(entry < 0) | (self._start[entry] != start[wanted])]
@@ -138,31 +160,31 @@ class EarlyEstimates:
         cuts = range(AT_ONCE, len(wanted), AT_ONCE)
         parts = (np.split(array, cuts) for array in (wanted, start[wanted], extent))
         self._queue = list(zip(*parts, strict=True)) if len(wanted) else []
-        _, end = stretch_of(self._start[: self.kept], folded)
+        _, end = search_window(self._start[: self.kept], folded)
         unseen = end - self._table.seen[: self.kept]
         stale = np.flatnonzero((unseen >= STALE) & (self._table.outcome[: self.kept] == FITTED))
         self._stale = np.split(stale, range(FOLLOWED_AT_ONCE, len(stale), FOLLOWED_AT_ONCE)) if len(stale) else []
 
-    def work(self, sequence: Sequence) -> None:
-        """Do some of what waits, in the frames of ``sequence``, all of which are in the file for good."""
-        weighing = self.watch.weighing
-        if weighing is None:
+    def work(self, sequence: FrameSequence) -> None:
+        """Do a part of the queue with the frames of ``sequence``, all of which are committed to the file."""
+        weighting = self.weighting_finder.weighting
+        if weighting is None:
             return
         if self._queue:
-            self._examine(sequence, weighing, *self._queue.pop())
+            self._estimate(sequence, weighting, *self._queue.pop())
         elif self._stale:
-            self._follow(sequence, weighing, self._stale.pop())
+            self._follow(sequence, weighting, self._stale.pop())
 
-    def _examine(
-        self, sequence: Sequence, weighing: Weighing, pixels: I8, start: I8, extent: NDArray[np.float64]
+    def _estimate(
+        self, sequence: FrameSequence, weighting: EdgeWeighting, pixels: I8, start: I8, extent: NDArray[np.float64]
     ) -> None:
         frames = len(sequence.present)
         there = start < frames
         pixels, start, extent = pixels[there], start[there], extent[there]
-        found = examine_pixels(sequence, weighing, pixels, start, extent, local=self._local, early=True)
-        # once as many frames are there as it asked for; where there was no edge to be seen, at twice its age
+        found = estimate_pixels(sequence, weighting, pixels, start, extent, local=self._local, early=True)
+        # try again once the frames it asked for are there; where no edge was found, at twice the age
         asked = np.minimum(found.columns[:, ASKED], frames)
-        asked = np.maximum(stretch_of(start, frames)[0] + asked.astype(np.int64), frames) + LATER
+        asked = np.maximum(search_window(start, frames)[0] + asked.astype(np.int64), frames) + LATER
         due = np.where(np.isfinite(found.columns[:, ASKED]), asked, 2 * frames - start)
         self._due[pixels] = np.minimum(due, np.iinfo(np.int32).max)
         good = np.flatnonzero((found.outcome == FITTED) | (found.outcome == LOCAL))[: len(self._start) - self.kept]
@@ -173,14 +195,14 @@ class EarlyEstimates:
             column[rows] = part[good]
         self.kept += len(good)
 
-    def _follow(self, sequence: Sequence, weighing: Weighing, rows: I8) -> None:
-        found = self._table.of(rows)
-        follow_pixels(sequence, weighing, self._pixel[rows], self._start[rows], found)
+    def _follow(self, sequence: FrameSequence, weighting: EdgeWeighting, rows: I8) -> None:
+        found = self._table.take(rows)
+        follow_pixels(sequence, weighting, self._pixel[rows], self._start[rows], found)
         self._table.columns[rows], self._table.seen[rows] = found.columns, found.seen
 
-    def known(self, pixels: I8, start: I8, extent: NDArray[np.float64]) -> Found:
-        """What is known of pixels whose first crossing is at ``start`` and whose range is ``extent``."""
-        found = Found.none(len(pixels))
+    def known(self, pixels: I8, start: I8, extent: NDArray[np.float64]) -> EdgeEstimates:
+        """Stored estimates of pixels [p] that hold for this first crossing [p] and range [p]; else NOTHING."""
+        found = EdgeEstimates.empty(len(pixels))
         entry = self._entry[pixels]
         held = np.flatnonzero(entry >= 0)
         rows = entry[held]

@@ -1,8 +1,11 @@
-"""Own the weighted fit of an erf edge to one pixel's samples, with its covariance.
+"""Weighted least-squares fit of an erf edge to the samples of one pixel, with the standard deviation of the crossing.
 
-The model of a pixel's samples is low + height Phi((t - crossing) / width), t in frames, in the folded signal,
-with the variance noise[0] + noise[1] x level; samples at noise[2] or below and at noise[3] or above are clipped, and
-say only on which side of them the light was. Everything is float64, in the written order.
+Model: level(t) = low + height Phi((t - crossing) / width), t in frames, levels of the folded signal. Variance of a
+sample: noise[0] + noise[1] x level. Samples at noise[2] or below, or at noise[3] or above, are clipped: they say only
+that the light was at least as dark or as bright. Parameters of the fit: low, height, crossing, log(width).
+
+Levenberg-Marquardt with Huber weights and weak priors on crossing and width; sigma is the root of the crossing's
+element of the inverse normal matrix. Float64, in the written order, so that results do not depend on who calls.
 """
 
 # ruff: noqa: PLR0915 - unrolled sums: an array per sample would cost more than the arithmetic
@@ -18,24 +21,24 @@ from process.numba_cache import inlined_kernel, kernel
 
 ROOT_2_PI = 2.5066282746310002
 LOOSE_LOG_WIDTH, TIGHT_LOG_WIDTH = 0.7, 0.2
-"""Standard deviation of the width's logarithm about a pixel's own guess; about the scan's, where an edge is sharp."""
+"""Prior standard deviation of log(width): about the pixel's own guess; for sharp edges, about the scan's width."""
 SHARP = 1.0
-"""Frames; an edge whose guessed width is less has too few samples to tell it: the scan's sharp edges together do."""
-PATIENCE = 12
-"""Steps of the fit; two to four suffice where there is an edge."""
-SETTLED = 0.01
-"""The last step of a fit gained less chi squared: what is left is a small part of a standard deviation."""
-BENT = 7.0
-"""Share of variance that the linearised fit misses, per squared ratio of sigma and width (found by simulation)."""
-OUTLIER = 4.0
-"""Residuals beyond so many standard deviations are weighted down (Huber)."""
+"""Width in frames below which one pixel has too few samples to tell it; all sharp edges of the scan together do."""
+MAX_STEPS = 12
+"""Two to four suffice where there is an edge."""
+CONVERGED_CHI2 = 0.01
+"""A step that gains less chi squared ends the fit: what is left is a small part of a standard deviation."""
+CURVATURE = 7.0
+"""Share of the variance that the linearised fit misses, per (sigma / width)^2; found by simulation."""
+HUBER = 4.0
+"""Residuals beyond so many standard deviations are weighted down."""
 
 
 _PER_UNIT, _FAR = 32, 9
 _GRID = np.arange(-_FAR * _PER_UNIT, _FAR * _PER_UNIT + 1) / _PER_UNIT
 _CDF = np.array([0.5 * math.erfc(-0.7071067811865476 * z) for z in _GRID])
 _DENSITY = np.exp(-0.5 * _GRID * _GRID) / ROOT_2_PI
-# Taylor's series about the nearest of the grid's points; off by less than 2e-9, several times as fast as erfc
+# Phi by a Taylor series about the nearest of these grid points: off by less than 2e-9, several times as fast as erfc.
 
 
 @inlined_kernel
@@ -54,7 +57,8 @@ def normal_cdf_and_density(z):
 
 @inlined_kernel
 def _solve(matrix, vector, damping, lower, out):
-    # Cholesky of a damped 4 x 4 matrix; false where it is not positive definite
+    # Cholesky solution of (matrix + damping diag(matrix)) out = vector, 4 x 4; False where it is not positive definite.
+    # Written out: a call of LAPACK takes longer than the arithmetic.
     for i in range(4):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -83,16 +87,17 @@ def _solve(matrix, vector, damping, lower, out):
 
 
 @inlined_kernel
-def _is_beyond(value, level, noise):
-    # a clipped sample that the model explains: the light is where the camera cannot follow
+def _clipped_as_modelled(value, level, noise):
+    # a clipped sample carries no information where the model lies beyond the clipping level too
     return (value >= noise[3] and level > value - 0.5) or (value <= noise[2] and level < value + 0.5)
 
 
 @inlined_kernel
-def _plateau(matrix, vector, sums, level, lit, noise):
-    # samples at one level of the model enter by their mean and sum of squares about it
+def _add_plateau(matrix, vector, sums, level, bright, noise):
+    # sums: number, mean and sum of squares about the mean of the samples, number and level of the clipped ones.
+    # All samples of a plateau have one model level: sum (y - level)^2 = squares + number (mean - level)^2.
     count, mean, squares = sums[0], sums[1], sums[2]
-    if sums[3] > 0.0 and not _is_beyond(sums[4], level, noise):
+    if sums[3] > 0.0 and not _clipped_as_modelled(sums[4], level, noise):
         both = count + sums[3]
         squares += count * sums[3] / both * (mean - sums[4]) ** 2
         mean = (count * mean + sums[3] * sums[4]) / both
@@ -103,7 +108,7 @@ def _plateau(matrix, vector, sums, level, lit, noise):
     residual = (mean - level) * count / variance
     matrix[0, 0] += count / variance
     vector[0] += residual
-    if lit:
+    if bright:
         matrix[1, 0] += count / variance
         matrix[1, 1] += count / variance
         vector[1] += residual
@@ -114,14 +119,16 @@ def _plateau(matrix, vector, sums, level, lit, noise):
 def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix, vector):
     """Weighted normal equations of the four parameters (low, height, crossing, log width); returns chi squared.
 
-    prior: centre and standard deviation of the crossing, and of the log width.
+    bounds: of window_of; flats: of _flat_sums, below and above; prior: mean and standard deviation of the crossing, and
+    of the log width; matrix [4, 4] (lower half) and vector [4] are overwritten.
     """
     low, height, crossing = model[0], model[1], model[2]
     width = math.exp(model[3])
     matrix[:] = 0.0
     vector[:] = 0.0
-    chi = _plateau(matrix, vector, flats[0], low, False, noise)
-    chi += _plateau(matrix, vector, flats[1], low + height, True, noise)
+    chi = _add_plateau(matrix, vector, flats[0], low, False, noise)
+    chi += _add_plateau(matrix, vector, flats[1], low + height, True, noise)
+    # scalars for the ten sums: an array element per sum would be stored and loaded for each sample
     inverse = 1.0 / width
     a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
@@ -129,16 +136,18 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
         z = (times[k] - crossing) * inverse
         share, density = normal_cdf_and_density(z)
         level = low + height * share
-        if _is_beyond(samples[k], level, noise):
+        if _clipped_as_modelled(samples[k], level, noise):
             continue
         weight = 1.0 / max(noise[0] + noise[1] * level, LEAST_VARIANCE)
         residual = samples[k] - level
         square = residual * residual * weight
-        if square > OUTLIER * OUTLIER:
+        if square > HUBER * HUBER:
+            # Huber: quadratic near zero, linear beyond, so that one wild sample pulls with bounded force
             size = math.sqrt(square)
-            square = OUTLIER * (2.0 * size - OUTLIER)
-            weight *= OUTLIER / size
+            square = HUBER * (2.0 * size - HUBER)
+            weight *= HUBER / size
         chi += square
+        # derivatives of the level by crossing and log width
         by_place = -height * density * inverse
         by_width = by_place * z * width
         w1, w2, w3 = weight * share, weight * by_place, weight * by_width
@@ -175,7 +184,7 @@ def normal_equations(samples, times, bounds, flats, model, prior, noise, matrix,
 
 @kernel
 def _flat_sums(samples, begin, end, noise, out):
-    # number, mean, and squares about the mean of samples[begin:end]; number of clipped ones, and their level
+    # out: number, mean, and sum of squares about the mean of samples[begin:end]; number of clipped ones, their level
     count, clipped, mean, squares, level = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(begin, end):
         if noise[2] < samples[k] < noise[3]:
@@ -192,7 +201,7 @@ def _flat_sums(samples, begin, end, noise, out):
 
 
 @kernel
-def _clipped(samples, bounds, noise):
+def _count_clipped(samples, bounds, noise):
     # number of clipped samples within the bounds
     count = 0.0
     for k in range(bounds[0], bounds[3] + 1):
@@ -202,12 +211,19 @@ def _clipped(samples, bounds, noise):
 
 @kernel
 def fit_edge(samples, times, guess, sharp_width, noise, model):
-    """Weighted fit from a guess; model [9] = low, height, crossing (frames), width (frames), sigma
-    (frames), chi squared per degree of freedom, the value that chance seldom exceeds, 1 if bright to the end,
-    last sample that was asked for (always set).
+    """Fit an edge from a guess; returns False where it does not converge to an edge near the guess.
 
-    samples [frames] in levels, times [frames] in frames; sharp_width: the scan's, in frames. Returns False where
-    nothing came of it. What no sample tells, a weak prior does: the place of an edge that falls between two.
+    Args:
+        samples: [frames] levels.
+        times: [frames] frame indices, float64.
+        guess: low, height, place, width of ``initial_guess.find_edge``.
+        sharp_width: width of the scan's sharp edges, in frames.
+        noise: [4] variance = noise[0] + noise[1] level; clipping levels.
+        model: [9] result: low, height, crossing (frames), width (frames), sigma (frames), chi squared per degree of
+            freedom, the value of that which chance seldom exceeds, 1 if bright to the end of the samples, last sample
+            asked for (always set).
+
+    Where the samples tell nothing, as of the place of an edge that falls between two of them, the weak prior decides.
     """
     bounds = np.empty(5, np.int64)
     window_of(samples, guess, noise, bounds)
@@ -218,8 +234,8 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
     place = int(guess[2])
     vectors = np.zeros((7, 4))
     now, tried, step, vector, new_vector = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
-    clipped = _clipped(samples, bounds, noise)
-    # from the level at which a plateau is clipped no step leads on
+    clipped = _count_clipped(samples, bounds, noise)
+    # a start at the clipping level would have every sample of that plateau explained, and no gradient: start beyond it
     below, above = 0.1 * guess[1] * (flats[0, 3] > 0.0), 0.1 * guess[1] * (flats[1, 3] > 0.0)
     now[0], now[1] = guess[0] - below, guess[1] + below + above
     if place + 1 < times.size:
@@ -236,10 +252,11 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
     chi = normal_equations(samples, times, bounds, flats, now, prior, noise, matrix, vector)
     damping = 0.0
     settled = False
-    for _ in range(PATIENCE):
+    for _ in range(MAX_STEPS):
         if not _solve(matrix, vector, damping, work[2], step):
             damping = max(10.0 * damping, 1e-3)
             continue
+        # bounded steps: far from the edge the model is flat, and a full step would leave it for good
         wide = math.exp(now[3])
         most = max(2.0 * wide, 1.0)
         step[2] = min(max(step[2], -most), most)
@@ -257,9 +274,10 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
         now[:], matrix[:], vector[:] = tried, new_matrix, new_vector
         chi = new_chi
         damping *= 0.1
-        if gain < SETTLED:
+        if gain < CONVERGED_CHI2:
             settled = True
             break
+    # one column of the inverse normal matrix: step[2] is the variance of the crossing
     unit = vectors[6]
     unit[2] = 1.0
     if not settled or not _solve(matrix, unit, 0.0, work[2], step) or not step[2] > 0.0 or now[1] <= 0.0:
@@ -269,8 +287,8 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
     freedom = max(bounds[3] - bounds[0] + 1 - clipped - 4.0, 1.0)
     model[0], model[1], model[2], model[3] = now[0], now[1], now[2], math.exp(now[3])
     model[4], model[5] = math.sqrt(step[2]), chi / freedom
-    if not sharp:  # what the curvature at the best fit does not say, where the noise is large
-        model[4] *= math.sqrt(1.0 + BENT * step[2] / (model[3] * model[3]))
+    if not sharp:  # where the noise is large, chi squared is no parabola over a standard deviation
+        model[4] *= math.sqrt(1.0 + CURVATURE * step[2] / (model[3] * model[3]))
     model[6] = 1.0 + 4.0 * math.sqrt(2.0 / freedom)
     model[7] = 1.0 if bounds[3] == samples.size - 1 else 0.0
     return True

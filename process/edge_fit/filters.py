@@ -1,4 +1,4 @@
-"""Owns what is taken out of the default cloud after the estimates: crossings too uncertain, and lonely flyers.
+"""Filters of the crossings for the default cloud: too uncertain ones, and isolated outliers.
 
 Nothing is removed from the maps: such pixels get the quality bit FILTERED and are counted.
 """
@@ -15,15 +15,15 @@ from process.crossings.quality import Quality
 from process.numba_cache import kernel
 
 SIGMA_FRAMES = 1.0
-"""No crossing is filtered that is known to a frame, unless the light came more than once ..."""
+"""A crossing known to within so many frames is not filtered by its sigma, unless the light came more than once;"""
 SIGMA_MEDIANS = 6.0
-"""... nor one that is known to so many times the median sigma of its scan."""
+"""nor is one known to within so many times the median sigma of the scan."""
 RADIUS = 2
 """Neighbours are the pixels of a square of 2 x RADIUS + 1."""
-SUPPORT = 3
-"""A crossing with fewer neighbours that agree with it may be a flyer."""
-WITNESSES = 8
-"""It is one only where so many neighbours have crossings that agree among themselves."""
+MIN_AGREEING = 3
+"""A crossing with fewer neighbours that agree with it may be an outlier;"""
+MIN_NEIGHBOURS = 8
+"""it is one only where at least so many neighbours have crossings, and these agree among themselves."""
 AGREE_FRAMES, AGREE_SIGMAS = 6.0, 5.0
 """Two crossings agree within so many frames plus so many of their sigmas."""
 
@@ -33,11 +33,11 @@ def filtered(maps: Maps) -> Maps:
     known = np.isfinite(maps.crossing)
     quality = maps.quality.copy()
     uncertain = too_uncertain(maps.sigma, known, (quality & np.uint16(Quality.SEVERAL)) != 0)
-    lonely = np.zeros(known.shape, np.bool_)
-    flyers(np.where(known & ~uncertain, maps.crossing, np.nan), maps.sigma, lonely)
-    quality[uncertain | lonely] |= np.uint16(Quality.FILTERED)
+    isolated = np.zeros(known.shape, np.bool_)
+    mark_isolated(np.where(known & ~uncertain, maps.crossing, np.nan), maps.sigma, isolated)
+    quality[uncertain | isolated] |= np.uint16(Quality.FILTERED)
     counts = maps.counts | quality_counts(maps.mask, maps.crossing, quality)
-    counts |= {"filtered_sigma": int(uncertain.sum()), "filtered_isolated": int(lonely.sum())}
+    counts |= {"filtered_sigma": int(uncertain.sum()), "filtered_isolated": int(isolated.sum())}
     return replace(maps, quality=quality, counts=counts)
 
 
@@ -46,7 +46,7 @@ def too_uncertain(
 ) -> NDArray[np.bool_]:
     """Crossings ([h, w] bool) whose sigma is beyond the limits, or not a number.
 
-    several: the light came more than once; such an edge that does not look like one has no right to a frame.
+    several: [h, w] the light came more than once; there the limit of SIGMA_FRAMES does not apply.
     """
     if not known.any():
         return np.zeros(known.shape, np.bool_)
@@ -55,11 +55,11 @@ def too_uncertain(
 
 
 @kernel
-def flyers(crossing, sigma, lonely):
-    """Set lonely [h, w] where a crossing stands alone: far from all its neighbours, which agree with each other.
+def mark_isolated(crossing, sigma, isolated):
+    """Set isolated [h, w] where a crossing is far from its neighbours, and these agree with each other.
 
-    crossing [h, w] in frames, NaN where there is none; sigma [h, w] in frames. An edge of depth has company on
-    its own side, and where the neighbours do not agree they are no witnesses.
+    crossing [h, w] in frames, NaN where there is none; sigma [h, w] in frames. At a step of depth a crossing has
+    neighbours on its own side; where the neighbours scatter they decide nothing.
     """
     height, width = crossing.shape
     around = np.empty((2 * RADIUS + 1) ** 2)
@@ -69,7 +69,7 @@ def flyers(crossing, sigma, lonely):
             if np.isnan(own):
                 continue
             tolerance = AGREE_FRAMES + AGREE_SIGMAS * sigma[row, column]
-            count, support = 0, 0
+            count, agreeing = 0, 0
             for y in range(max(0, row - RADIUS), min(height, row + RADIUS + 1)):
                 for x in range(max(0, column - RADIUS), min(width, column + RADIUS + 1)):
                     other = crossing[y, x]
@@ -78,11 +78,12 @@ def flyers(crossing, sigma, lonely):
                     around[count] = other
                     count += 1
                     if abs(other - own) <= tolerance + AGREE_SIGMAS * sigma[y, x]:
-                        support += 1
-            if support >= SUPPORT or count < WITNESSES:
+                        agreeing += 1
+            if agreeing >= MIN_AGREEING or count < MIN_NEIGHBOURS:
                 continue
-            witnesses = around[:count]
-            middle = np.median(witnesses)
-            spread = np.median(np.abs(witnesses - middle))
+            neighbours = around[:count]
+            # median and median deviation: a second outlier among the neighbours must not move their middle
+            middle = np.median(neighbours)
+            spread = np.median(np.abs(neighbours - middle))
             if spread <= AGREE_FRAMES / 2.0 and abs(own - middle) > tolerance + 8.0 * spread:
-                lonely[row, column] = True
+                isolated[row, column] = True

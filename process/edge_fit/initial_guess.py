@@ -1,6 +1,8 @@
-"""Own where an edge is: a first guess of its levels, place and width, and the samples that a fit of it looks at.
+"""First guess of an edge (levels, place, width), and the window of samples that its fit uses.
 
-samples are the folded signal of one pixel in levels, one for each present frame; places are ordinals of these.
+samples [frames]: float64 levels of the folded signal of one pixel, one for each present frame; places are their
+ordinals. Each function also reports the last sample it asked for, so that a fit made during the sweep is kept only if
+all of these were there.
 """
 
 from __future__ import annotations
@@ -13,31 +15,33 @@ from process.numba_cache import kernel
 
 ROOT_PI = 1.7724538509055159
 LEAST_HALF = 3
-"""Frames to each side that are looked at first: a pulse of light may be no longer than a few frames."""
+"""Half length in frames of the first window: a pulse of light may be no longer than a few frames."""
 CLEAR = 50.0
-"""Least square of a step between two plateaus over the variance of their difference, about: no step of noise alone."""
+"""Least (step between two plateaus)^2 over about the variance of their difference: noise alone makes no such step."""
 LEAST_WIDTH, LEAST_VARIANCE = 0.15, 1.0 / 12.0
-"""Frames; levels squared (rounding alone)."""
+"""In frames; in levels squared, that of rounding."""
 REACH_WIDTHS, LEAST_REACH = 10.0, 6
-"""Half length of the fit's window in widths of the edge, and at least in frames."""
+"""Half length of the fit's window: in widths of the edge, and at least in frames."""
 INNER_WIDTHS = 4.5
-"""Beyond so many widths, and two frames, a sample counts as plateau: the model is off by 3e-6 of the height."""
+"""Beyond so many widths and two frames a sample counts as plateau; the model is off by 3e-6 of the height there."""
 
 
 @kernel
 def guess_edge(samples, start, half, spread, guess):
-    """Levels, place and width of an edge near a sample, from sums: guess = low, height, place (ordinal), width.
+    """Levels, place and width of an edge within a window, from sums over it; False where nothing rises.
 
-    samples [frames]; start: where to look; half: samples to each side; spread: variance of the noise.
-    The outer halves of the window are taken for plateaus. Phi (1 - Phi) adds up to width / sqrt(pi),
-    and the lit part of the window to the distance from the crossing to its end. False: no edge in it.
+    start: middle of the window; half: samples to each side; spread: variance of the noise; guess [4] = low, height,
+        place (ordinal), width (frames).
     """
+    # the outer half of each side is taken for a plateau
     left, right = max(0, start - half), min(samples.size - 1, start + half)
     before, after = max(1, (start - left + 1) // 2), max(1, (right - start + 1) // 2)
     low = samples[left : left + before].mean()
     height = samples[right + 1 - after : right + 1].mean() - low
     if height <= 0.0:
         return False
+    # With share = Phi((t - crossing) / width): the shares add up to the distance from the crossing to the window's end,
+    # and share (1 - share) to width / sqrt(pi). The noise makes the latter too small by its variance per sample.
     lit, partly = 0.0, 0.0
     for k in range(left, right + 1):
         share = (samples[k] - low) / height
@@ -52,10 +56,11 @@ def guess_edge(samples, start, half, spread, guess):
 
 @kernel
 def find_edge(samples, start, range_seen, spread, guess):
-    """The smallest window about `start` whose plateaus are flat leads to the guess; False: there is none.
+    """Guess the edge from the smallest window about `start` that has flat plateaus; False where there is none.
 
-    guess [6] = low, height, place, width, last sample that was asked for (it may lie beyond the end), least height
-    of an edge that was taken for one: the outcome is the same for every range_seen up to twice that.
+    range_seen: range of the pixel's levels less the noise; an edge of less than half of it is not the pixel's edge.
+    guess [6] = low, height, place, width, last sample asked for (it may lie beyond the end), least height of an edge
+    that was accepted: the outcome is the same for every range_seen up to twice that.
     """
     half = LEAST_HALF
     found = False
@@ -69,6 +74,7 @@ def find_edge(samples, start, range_seen, spread, guess):
     guess[4], guess[5] = start + half, guess[1]
     if not found:
         return False
+    # once more about the edge itself: the first window began at the first sample above half brightness
     again = np.empty(4)
     middle, half = int(guess[2] + 0.5), max(LEAST_HALF, int(math.ceil(6.0 * guess[3])))
     guess[4] = max(guess[4], float(middle + half))
@@ -97,7 +103,7 @@ def sharp_samples(samples, start):
 
 @kernel
 def flat_end(samples, begin, step, count, level, tolerance):
-    """Samples from `begin` in steps of +-1 until two in a row leave the level, at most `count`."""
+    """Number of samples from `begin` in steps of +-1 before two in a row leave the level, at most `count`."""
     beside = 0
     for k in range(count):
         index = begin + step * k
@@ -105,15 +111,16 @@ def flat_end(samples, begin, step, count, level, tolerance):
             return k
         beside = beside + 1 if abs(samples[index] - level) > tolerance else 0
         if beside == 2:
-            return max(k - 3, 0)
+            return max(k - 3, 0)  # without these two, and two more beside them
     return count
 
 
 @kernel
 def window_of(samples, guess, noise, bounds):
-    """Bounds of the fit: bounds = first, first inner, last inner, last ordinal, last sample that was asked for.
+    """Window of the fit: bounds [5] = first, first inner, last inner, last ordinal, last sample asked for.
 
-    Plateaus end where they change; the sample asked for may lie beyond the end.
+    Inner samples are modelled one by one, those outside as plateaus. A plateau ends where its level changes. The sample
+    asked for may lie beyond the end.
     """
     low, height, place, width = guess[0], guess[1], guess[2], guess[3]
     inner = int(math.ceil(INNER_WIDTHS * width)) + 2

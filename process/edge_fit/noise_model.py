@@ -1,6 +1,6 @@
-"""Owns the noise model of a scan: variance against level, measured from its own frames where nothing moves.
+"""Noise model of a scan: variance against level, measured in its own frames where the light does not change.
 
-Promises a variance of at least the rounding's, 1/12 level squared, at every level of the scale.
+Variance in levels squared of the stored depth, at least that of rounding (1/12) at every level of the scale.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from process.numba_cache import kernel
 
 ROUNDING_VARIANCE = 1.0 / 12.0
 PAIRS = 16
-"""Pairs of neighbouring frames whose differences make one figure; fewer where the plateau is short."""
+"""Pairs of neighbouring frames whose differences give one variance; fewer where the plateau is short."""
 LEAST_PAIRS = 6
 LEAST_FIGURES = 50
-"""Fewer figures than this say nothing about a whole scan."""
+"""Fewer variances than this do not represent a scan."""
 BINS = 12
 
 
@@ -30,7 +30,7 @@ class NoiseModel:
     floor: float
     slope: float
     measured: bool
-    """False: taken from the configuration, because the frames did not tell."""
+    """False: taken from the configuration, because the frames do not tell."""
 
     def coefficients(self) -> NDArray[np.float64]:
         """[2] floor and slope, for kernels."""
@@ -42,17 +42,16 @@ class NoiseModel:
 
 
 def assumed_noise(noise_levels: float) -> NoiseModel:
-    """The same noise at every level: read noise of the configuration, and rounding."""
+    """The same noise at every level: the configured standard deviation in levels, and rounding."""
     return NoiseModel(noise_levels**2 + ROUNDING_VARIANCE, 0.0, measured=False)
 
 
 @kernel
 def noise_figures(rows, pairs, top, falling, figures):
-    """Fill figures [:, 2] (mean level, variance) from rows [n, 2 x PAIRS] of levels; returns how many there are.
+    """Fill figures [:, 2] (mean level, variance) from rows [n, 2 x PAIRS] of levels; returns their number.
 
-    pairs [n]: pairs of neighbouring frames of each row that count; their differences let slow changes cancel. A
-    variance is corrected so that the median over many is that of the noise; a row with too few pairs or with a value
-    at an end of the scale (0 or top) is left out. falling: the complement is folded, the levels are of that.
+    pairs [n]: pairs of neighbouring frames in each row. A row with too few pairs, or with a value at an end of the
+    scale (0 or top), is left out. falling: the levels are those of the complement.
     """
     count = 0
     for i in range(rows.shape[0]):
@@ -62,23 +61,26 @@ def noise_figures(rows, pairs, top, falling, figures):
             if min(one, other) <= 0 or max(one, other) >= top:
                 inside = False
                 break
+            # differences of neighbours: slow changes of the lamp cancel
             total += one + other
             squares += (one - other) * (one - other)
         if inside:
             level = total / (2 * pairs[i])
             figures[count, 0] = top - level if falling else level
+            # a variance of few pairs is chi squared distributed: by Wilson and Hilferty this makes its median the
+            # variance
             figures[count, 1] = squares / (2 * pairs[i]) / (1.0 - 2.0 / (9.0 * pairs[i])) ** 3
             count += 1
     return count
 
 
 def guard_frames(frames: int) -> int:
-    """Frames about a crossing that are kept out of the noise: more than an edge is wide, if the scan is long enough."""
+    """Frames left out to each side of a crossing: more than an edge is wide, if the scan is long enough."""
     return min(40, max(8, frames // 8))
 
 
 def model_from(found: NDArray[np.float64], full: int, fallback: NoiseModel) -> NoiseModel:
-    """The line through the medians of the figures [n, 2] by level; ``fallback`` where they are too few."""
+    """Line through the medians of the figures [n, 2], binned by level; ``fallback`` where they are too few."""
     if len(found) < LEAST_FIGURES:
         return fallback
     order = np.argsort(found[:, 0], kind="stable")
@@ -100,7 +102,7 @@ def model_from(found: NDArray[np.float64], full: int, fallback: NoiseModel) -> N
 
 
 def _line(level: NDArray[Any], variance: NDArray[Any]) -> tuple[float, float]:
-    """Least squares of relative residuals: the scatter of a variance is proportional to it."""
+    """(floor, slope) by least squares of relative residuals: the scatter of a variance is proportional to it."""
     design = np.stack([np.ones_like(level), level], axis=1) / variance[:, None]
     (floor, slope), *_ = np.linalg.lstsq(design, np.ones_like(level), rcond=None)
     return float(floor), float(slope)

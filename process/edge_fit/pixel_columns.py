@@ -1,6 +1,6 @@
-"""Owns the way to single pixels of a scan: their levels over a stretch of frames, gathered out of all frames at once.
+"""Levels of single pixels over a range of frames, gathered from frames in memory or in a mapped file.
 
-Promises the same levels as those of the whole frames, whatever part of them is asked for.
+Stored levels, uint8 or uint16; places are numbers of frames among the folded ones.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ from numpy.typing import NDArray
 from process.numba_cache import kernel
 
 ReadColumns: TypeAlias = Callable[[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]], NDArray[Any]]
-"""(flat pixel indices [p], first and end place of each among the folded frames [p]) -> original grey levels
-[p, longest stretch]; row i holds the places first[i] .. end[i] - 1 from its beginning, what follows has no meaning."""
+"""(flat pixel indices [p], first and end place of each [p]) -> original grey levels [p, longest range]; row i begins
+with the places first[i] .. end[i] - 1, the rest of it has no meaning."""
 
 
 FRAMES_AT_ONCE = 16
-"""Frames gone through together: one cache line of each is at hand while neighbouring pixels are read."""
+"""Frames read together: one cache line of each stays in the cache while neighbouring pixels are read."""
 
 
 @kernel
 def gather(frames, indices, pixels, first, end, out):
     """Copy frames [n, pixels, channels] at places first[i] .. end[i] - 1 of pixels[i] into out [p, longest, channels].
 
-    indices: frame of each place. Neighbouring pixels share cache lines, if they follow each other.
+    indices: frame of each place.
     """
     channels = frames.shape[2]
+    # pixels inside, a few frames outside: neighbouring pixels share the cache lines of these frames
     for begin in range(first.min(), end.max(), FRAMES_AT_ONCE):
         for i in range(pixels.size):
             pixel, origin = pixels[i], first[i]
@@ -47,9 +48,9 @@ def gathered(
     first: NDArray[np.int64],
     end: NDArray[np.int64],
 ) -> NDArray[Any]:
-    """Stored values of some pixels, [p, longest, channels]; frames [n, h * w, 1 or 3], read-only use.
+    """Stored values of some pixels, [p, longest, channels], from frames [n, h * w, 1 or 3].
 
-    See :data:`ReadColumns`; indices [places]: index into frames of each folded frame.
+    indices [places]: index into frames of each folded frame; the others as in :data:`ReadColumns`.
     """
     out = np.empty((len(pixels), int((end - first).max(initial=0)), frames.shape[2]), frames.dtype)
     if out.size:
@@ -58,7 +59,7 @@ def gathered(
 
 
 def columns_of_stack(stack: NDArray[Any]) -> ReadColumns:
-    """Columns of grey frames in memory, [n, h, w], all of them folded."""
+    """Reader of grey frames in memory, [n, h, w], all of them folded."""
     frames = stack.reshape(len(stack), -1, 1).view()
     frames.flags.writeable = False
     indices = np.arange(len(stack))

@@ -1,4 +1,9 @@
-"""Own the estimate of many pixels: examine the edge of each, and say what the rest of the sweep has against it."""
+"""Edge estimates of many pixels: fit the edge of each, and check the samples after it for light that changes again.
+
+Rows hold the original levels of a pixel at the places first .. end - 1 (numbers of frames among the folded ones); times
+are frame indices, float64; noise [4] as in ``erf_fit_kernels``. Levels of the folded signal, float64, in the written
+order.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +18,22 @@ from process.edge_fit.initial_guess import find_edge, sharp_samples
 from process.numba_cache import inlined_kernel, kernel
 
 FAR = 200
-"""Frames to each side of a first crossing that an edge is looked for in."""
+"""Frames to each side of a first crossing in which its edge is looked for."""
 TOO_NEAR_WIDTHS = 3.0
-"""A plateau shorter than so many widths of the edge, and a frame, was not reached."""
+"""A plateau of fewer widths of the edge plus one frame counts as not reached."""
 
 FAINT = 225.0
-"""Square of the range over the variance of the noise, below which a first crossing may be noise alone."""
+"""(range)^2 / variance of the noise below which a first crossing may be noise alone: a range of 15 sigma."""
 
 NOTHING, FITTED, LOCAL, NOISE = range(4)
-"""What came of an edge: no estimate, that of the whole edge, that between the levels right beside it; and no edge,
-where the range may be that of noise alone."""
+"""Outcomes: no estimate; a fit of the whole edge; two samples between the levels right beside the edge; no edge at all,
+the range may be that of noise."""
 LOW, HEIGHT, CROSSING, WIDTH, SIGMA, OPEN_END, ASKED, MOST_EXTENT, COURSE, COLUMNS = range(10)
-"""Columns of what was found: levels, frames, frames, frames; 1 if bright to the end of the samples; last sample that
-was asked for; range of the pixel up to which the outcome holds (see find_edge); how its light goes on."""
+"""Columns of an estimate: levels; crossing, width and sigma in frames; 1 if bright to the end of the samples; last
+sample asked for; largest range of the pixel for which the outcome holds (see find_edge); course of the light
+afterwards."""
 STEADY, DARK_AGAIN, SEVERAL_LEVELS = 0.0, 1.0, 2.0
-"""Courses: one edge so far; the light has gone again; it came twice, or there are plateaus beyond those of the edge."""
+"""Courses: one edge so far; dark again after it; bright twice, or levels beyond both plateaus."""
 
 _FILTERED = int(Quality.FILTERED)
 _PLATEAU = int(Quality.PLATEAU_NOT_REACHED)
@@ -37,11 +43,12 @@ _SEVERAL = int(Quality.SEVERAL)
 
 @kernel
 def follow(samples, times, found, noise):
-    """Set COURSE of found by the samples that follow those seen before: in pieces or at once, it comes out the same."""
+    """Update COURSE of an estimate with the samples after those seen before; in pieces or at once gives the same."""
     low, height, crossing, width = found[LOW], found[HEIGHT], found[CROSSING], found[WIDTH]
     dark = math.sqrt(max(noise[0] + noise[1] * low, 0.1))
     bright = math.sqrt(max(noise[0] + noise[1] * (low + height), 0.1))
     floor, roof = low - 0.15 * height - 5.0 * dark, low + 1.15 * height + 5.0 * bright
+    # a sample counts as bright or dark only beyond the noise about half brightness
     middle = low + 0.5 * height
     margin = min(4.0 * 0.5 * (dark + bright), 0.25 * height)
     before, after = crossing - 3.0 * width - 1.0, crossing + 3.0 * width + 1.0
@@ -59,10 +66,11 @@ def follow(samples, times, found, noise):
 
 @kernel
 def local_probit(samples, times, place, seen, noise, found):
-    """Crossing of a sharp edge from the two samples about half brightness, between the levels right beside them.
+    """Crossing of a sharp edge by probit interpolation of two samples, between the levels right beside them.
 
-    What is slow on a plateau (stray light before the edge, a lamp that drifts) does not move it. Sets LOW, HEIGHT,
-    CROSSING, SIGMA of found. False where there are no levels on both sides, or not the edge.
+    Slow changes of a plateau (stray light before the edge, a lamp that drifts) do not move it. place: the first sample
+    at or above half brightness; seen: range less the noise. Sets LOW, HEIGHT, CROSSING, SIGMA of found. False where
+    there are no samples on both sides, or where the step is not the pixel's edge.
     """
     if place < 3 or place + 2 >= samples.size:
         return False
@@ -81,7 +89,7 @@ def local_probit(samples, times, place, seen, noise, found):
 
 @inlined_kernel
 def _stretch(row, count, full):
-    # samples of the folded signal; full: full scale of a falling edge, whose complement is folded, else 0
+    # samples of the folded signal, float64; full: full scale for falling edges, whose complement is folded, else 0
     samples = np.empty(count)
     for k in range(count):
         samples[k] = full - float(row[k]) if full else float(row[k])
@@ -90,12 +98,13 @@ def _stretch(row, count, full):
 
 @inlined_kernel
 def _seen(extent, spread):
+    # the extremes of a few hundred noisy samples lie about 2.5 sigma outside of the plateaus, on both sides
     return extent - 5.0 * math.sqrt(spread)
 
 
 @inlined_kernel
 def _extent_of(least_height, spread):
-    # the largest whole extent whose _seen is not more than twice the height
+    # the largest integer extent with _seen(extent) <= 2 least_height: find_edge decides the same up to there
     most = math.floor(2.0 * least_height + 5.0 * math.sqrt(spread)) + 1.0
     while 0.5 * _seen(most, spread) > least_height:
         most -= 1.0
@@ -103,11 +112,11 @@ def _extent_of(least_height, spread):
 
 
 @kernel
-def examine(samples, times, place, extent, noise, sharp_width, local, found):
-    """What the edge at sample `place`, the first at or above half brightness, tells; returns one of the outcomes.
+def estimate_edge(samples, times, place, extent, noise, sharp_width, local, found):
+    """Estimate the edge at sample `place`, the first at or above half brightness; returns one of the outcomes.
 
-    samples, times [n]: levels and frames. extent: range of the pixel in the whole sweep. local: a sharp edge that is
-    no erf, or none that can be fitted, gets its crossing from local_probit. found [COLUMNS] is filled.
+    samples, times [n]: levels and frames. extent: range of the pixel over the sweep. local: a sharp edge that is no
+    erf, or cannot be fitted, gets its crossing from local_probit. found [COLUMNS] is filled.
     """
     guess, model = np.empty(6), np.empty(9)
     spread = max(noise[0] + noise[1] * samples[place], 1.0 / 12.0)
@@ -119,6 +128,7 @@ def examine(samples, times, place, extent, noise, sharp_width, local, found):
     if fits:
         fits = fit_edge(samples, times, guess, sharp_width, noise, model)
         found[ASKED] = max(found[ASKED], model[8])
+    # a fit that ran to another edge of the same pixel is none of this one
     fits = fits and abs(model[2] - times[place]) <= 4.0 * model[3] + 4.0
     faint = extent * extent < FAINT * spread
     uneven = local and sharp and not faint and not (fits and model[5] <= model[6])
@@ -129,7 +139,7 @@ def examine(samples, times, place, extent, noise, sharp_width, local, found):
     if not fits:
         return NOISE if local and faint else NOTHING
     found[LOW], found[HEIGHT], found[CROSSING], found[WIDTH] = model[0], model[1], model[2], model[3]
-    # a chi squared that chance explains says nothing about sigma
+    # chi squared beyond chance: the model does not hold, and sigma grows with it
     found[SIGMA] = model[4] * math.sqrt(model[5]) if model[5] > model[6] else model[4]
     found[OPEN_END], found[MOST_EXTENT] = model[7], _extent_of(least_height, spread)
     return FITTED
@@ -137,11 +147,11 @@ def examine(samples, times, place, extent, noise, sharp_width, local, found):
 
 @kernel
 def count_sharp(rows, full, first, end, start, noise):
-    """(Samples between 10 and 90 %, edges) summed over the sharp edges of some pixels.
+    """(samples between 10 and 90 %, edges) summed over the sharp edges of some pixels; [i] each but full and noise.
 
-    rows [pixels, :]: their levels at the places first[i] .. end[i] - 1; start[i]: place of the first one at or
-    above half brightness. Over edges at all phases as many samples fall into an interval as it is long: 2.563 widths.
+    start: place of the first level at or above half brightness.
     """
+    # over edges at all phases as many samples fall into this interval on average as it is frames long: 2.563 widths
     guess = np.empty(6)
     within, edges = 0, 0
     for i in range(start.size):
@@ -157,18 +167,18 @@ def count_sharp(rows, full, first, end, start, noise):
 
 
 @kernel
-def examine_rows(rows, full, times, first, end, start, extent, noise, sharp_width, local, early, outcome, found):
-    """Examine the edges of pixels, and follow their light to the end of what is there; all [i] unless said otherwise.
+def estimate_rows(rows, full, times, first, end, start, extent, noise, sharp_width, local, early, outcome, found):
+    """Estimate the edges of pixels, and follow their light to the end of their rows; [i] each unless said otherwise.
 
-    rows [pixels, :]: original levels at the places first .. end - 1; full: see _stretch; times [frames]; start: place
-    of the first level at or above half brightness. early: frames are still to come, and the outcome is NOTHING where
-    they could change it. Fills outcome and found [i, COLUMNS].
+    rows [pixels, :]; full: see _stretch; times [frames]; start: place of the first level at or above half brightness;
+    extent: range over the sweep; early: more frames are to come, and the outcome is NOTHING where they could change it.
+    Fills outcome and found [i, COLUMNS].
     """
     for i in range(start.size):
         samples = _stretch(rows[i], end[i] - first[i], full)
         stretch = times[first[i] : end[i]]
         place = start[i] - first[i]
-        outcome[i] = examine(samples, stretch, place, extent[i], noise, sharp_width, local, found[i])
+        outcome[i] = estimate_edge(samples, stretch, place, extent[i], noise, sharp_width, local, found[i])
         if early:
             spread = max(noise[0] + noise[1] * samples[place], 1.0 / 12.0)
             if not found[i, ASKED] + 1.0 < samples.size or extent[i] * extent[i] < FAINT * spread:
@@ -179,7 +189,7 @@ def examine_rows(rows, full, times, first, end, start, extent, noise, sharp_widt
 
 @kernel
 def follow_rows(rows, full, times, first, end, noise, outcome, found):
-    """Follow the light of pixels further: rows [pixels, :] are the levels at the places first .. end - 1; all [i]."""
+    """Follow the light of fitted pixels over further rows [pixels, :]; changes found [i, COLUMNS]."""
     for i in range(first.size):
         if outcome[i] == FITTED and found[i, COURSE] != SEVERAL_LEVELS:
             samples = _stretch(rows[i], end[i] - first[i], full)
@@ -188,10 +198,11 @@ def follow_rows(rows, full, times, first, end, noise, outcome, found):
 
 @kernel
 def conclude(pixels, first, end, times, outcome, found, noise, last_noise, lasting, crossing, sigma, quality, width):
-    """Write down the estimates of pixels (flat indices into the last five): crossing, sigma, width in frames, quality.
+    """Write the estimates of pixels (flat indices into the last five) as crossing, sigma, width (frames) and quality.
 
-    first, end [i]: stretch that was looked at. noise weighed the samples, last_noise says how large sigma is; lasting:
-    bits of quality that no estimate changes. Where an edge told nothing, the estimate stays as it is.
+    first, end [i]: search window. noise: of the weighting that the samples had; last_noise: of the whole scan, to which
+    sigma is scaled; lasting: quality bits that an estimate does not change. With the outcome NOTHING a pixel keeps what
+    it has.
     """
     for i in range(pixels.size):
         if outcome[i] == NOTHING:

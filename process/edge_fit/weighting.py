@@ -1,7 +1,8 @@
-"""Owns what the estimates of a scan are weighed by: its noise, and how wide its sharp edges are.
+"""What weights the samples in the edge fits of a scan: its noise, and the width of its sharp edges.
 
-Promises to find both as soon as the sweep has shown enough of them, as a function of the frames until then alone:
-an estimate made while the sweep runs and one made from the whole file are weighed alike.
+Both are found as soon as the sweep has shown enough edges, as a function of the frames until then alone. So an estimate
+made during the sweep and one made from the whole file have the same weights. Places are numbers of frames among the
+folded ones; widths in frames; noise in levels of the stored depth.
 """
 
 from __future__ import annotations
@@ -20,28 +21,28 @@ from process.edge_fit.pixel_kernels import FAR, count_sharp
 from process.numba_cache import kernel
 
 GRID_PIXELS = 16_000
-"""Pixels, spread over the image, that are watched until the noise is known."""
+"""Pixels, spread over the image, that are read until the noise is known."""
 STEP = 32
-"""Frames between two looks at them."""
+"""Frames read at a time."""
 EARLIEST = 128
 """Frames before the first measurement."""
 GUARD = 24
-"""Least frames about a crossing that are kept out of it."""
+"""Least frames to each side of a crossing that are left out of it."""
 ENOUGH = 150
-"""Watched pixels that have been bright for a while; fewer tell too little."""
+"""Pixels that have to have been bright for a while before the noise is measured."""
 LEAST_COUNTS = 20
-"""Brightness range, in counts of 8 bit, of a pixel that the light has passed."""
+"""Least range, in counts of 8 bit, of a pixel that the light has passed."""
 SHARP_PIXELS = 3000
-"""Pixels whose edges tell how wide the sharp ones are."""
+"""Pixels whose edges are counted for the width of the sharp ones."""
 SAMPLES_PER_WIDTH = 2.5631
-"""Length of the interval from 10 to 90 % of an erf edge, in widths."""
+"""Length of the interval from 10 to 90 % of an erf edge, in widths (standard deviations)."""
 USUAL_SHARP_WIDTH = 0.5
-"""Frames; taken where a scan has too few sharp edges to tell."""
+"""In frames; taken where a scan has too few sharp edges."""
 
 
 @dataclass(frozen=True)
-class Sequence:
-    """A scan, or its first frames, as the estimates see it."""
+class FrameSequence:
+    """The folded frames of a scan, or the first of them, for reading single pixels."""
 
     columns: ReadColumns
     present: NDArray[np.int64]
@@ -60,16 +61,16 @@ class Sequence:
         return full_scale(self.bit_depth) if self.edge == "falling" else 0
 
 
-class Weighing(NamedTuple):
-    """What a sweep says about all of its edges."""
+class EdgeWeighting(NamedTuple):
+    """Noise and sharp width of a scan."""
 
     noise: NoiseModel
     """Of the folded signal, in levels of the stored depth."""
     sharp_width: float
-    """Frames."""
+    """Width of the sharp edges, in frames."""
 
-    def told(self, sequence: Sequence) -> NDArray[np.float64]:
-        """[4] for the kernels: floor and slope of the variance, levels of the folded signal at which it is clipped."""
+    def noise_coefficients(self, sequence: FrameSequence) -> NDArray[np.float64]:
+        """[4] for the kernels: floor and slope of the variance, and the lower and upper clipping level."""
         lowest, highest = (0.0, np.inf) if sequence.full else (-np.inf, float(full_scale(sequence.bit_depth)))
         return np.array([self.noise.floor, self.noise.slope, lowest, highest])
 
@@ -77,7 +78,7 @@ class Weighing(NamedTuple):
 @kernel
 def first_at_half(rows, full, least, start):
     """start [pixels]: place of the first level at or above half of a pixel's range, rows [pixels, frames]; -1 where the
-    range is below `least` or the first level is above already. full: see Sequence.full."""
+    range is below `least` or the first level is above already. full: see FrameSequence.full."""
     for i in range(rows.shape[0]):
         low, high = np.int64(rows[i].min()), np.int64(rows[i].max())
         start[i] = -1
@@ -91,11 +92,11 @@ def first_at_half(rows, full, least, start):
 
 
 def noise_of(
-    sequence: Sequence, pixels: NDArray[np.int64], start: NDArray[np.int64], fallback: NoiseModel, guard: int = 0
+    sequence: FrameSequence, pixels: NDArray[np.int64], start: NDArray[np.int64], fallback: NoiseModel, guard: int = 0
 ) -> NoiseModel:
-    """Noise from the flat stretches to both sides of a first crossing; start [pixels]: its place, -1 for none.
+    """Noise from the plateaus to both sides of a first crossing; start [pixels]: its place, -1 for none.
 
-    guard: least number of frames about it that do not count.
+    guard: least number of frames to each side of it that are left out.
     """
     frames = len(sequence.present)
     guard = max(guard, guard_frames(frames))
@@ -117,7 +118,7 @@ def noise_of(
 
 
 def _figures(
-    sequence: Sequence, pixels: NDArray[np.int64], begin: NDArray[np.int64], pairs: NDArray[np.int64]
+    sequence: FrameSequence, pixels: NDArray[np.int64], begin: NDArray[np.int64], pairs: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     some = np.flatnonzero(pairs > 0)
     found = np.empty((len(some), 2))
@@ -128,8 +129,10 @@ def _figures(
     return found[: noise_figures(rows, pairs[some], top, sequence.edge == "falling", found)]
 
 
-def sharp_width_of(sequence: Sequence, pixels: NDArray[np.int64], start: NDArray[np.int64], noise: NoiseModel) -> float:
-    """Width in frames of the sharp edges, from how many samples fall into them; the usual one where there are few."""
+def sharp_width_of(
+    sequence: FrameSequence, pixels: NDArray[np.int64], start: NDArray[np.int64], noise: NoiseModel
+) -> float:
+    """Width in frames of the sharp edges, from the number of samples within them; else USUAL_SHARP_WIDTH."""
     known = np.flatnonzero(start >= 0)
     known = known[:: max(1, -(-len(known) // SHARP_PIXELS))]
     if not len(known):
@@ -141,8 +144,8 @@ def sharp_width_of(sequence: Sequence, pixels: NDArray[np.int64], start: NDArray
     return float(np.clip(within / (SAMPLES_PER_WIDTH * edges), 0.2, 1.0)) if edges >= 50 else USUAL_SHARP_WIDTH
 
 
-class Watch:
-    """Looks at pixels spread over the image until the first frames of a sweep tell its noise."""
+class WeightingFinder:
+    """Reads pixels spread over the image, as frames arrive, until they tell the weighting of the scan."""
 
     def __init__(self, shape: tuple[int, int], fallback: NoiseModel) -> None:
         self._fallback = fallback
@@ -152,18 +155,18 @@ class Watch:
         self._low: NDArray[np.int64] = np.full(len(self._pixels), 1 << 30)
         self._high = -self._low
         self._earlier = [self._high] * 3
-        self.weighing: Weighing | None = None
-        """None as long as it is not known."""
+        self.weighting: EdgeWeighting | None = None
+        """None until it is known."""
 
-    def look(self, sequence: Sequence, steps: int) -> bool:
-        """Take at most ``steps`` further looks at the frames of ``sequence``; True if there was one to take."""
+    def advance(self, sequence: FrameSequence, steps: int) -> bool:
+        """Read up to ``steps`` further groups of STEP frames of ``sequence``; True if there was one to read."""
         for taken in range(steps):
-            if self.weighing is not None or self._place + STEP > len(sequence.present):
+            if self.weighting is not None or self._place + STEP > len(sequence.present):
                 return taken > 0
             self._take(sequence)
         return True
 
-    def _take(self, sequence: Sequence) -> None:
+    def _take(self, sequence: FrameSequence) -> None:
         first = np.full(len(self._pixels), self._place)
         self._place += STEP
         levels = sequence.columns(self._pixels, first, first + STEP).astype(np.int64)
@@ -171,6 +174,7 @@ class Watch:
             levels = sequence.full - levels
         self._low = np.minimum(self._low, levels.min(axis=1))
         self._high = np.maximum(self._high, levels.max(axis=1))
+        # bright for three groups of frames: close to the final level, and before the newest readings
         long_bright = self._earlier.pop(0) - self._low >= 0.8 * (self._high - self._low)
         self._earlier.append(self._high)
         passed = self._high - self._low >= LEAST_COUNTS << (sequence.bit_depth - 8)
@@ -178,15 +182,15 @@ class Watch:
             self._measure(sequence)
             self._measure_at = self._place * 3 // 2
 
-    def _measure(self, sequence: Sequence) -> None:
-        until = Sequence(sequence.columns, sequence.present[: self._place], sequence.edge, sequence.bit_depth)
+    def _measure(self, sequence: FrameSequence) -> None:
+        until = FrameSequence(sequence.columns, sequence.present[: self._place], sequence.edge, sequence.bit_depth)
         zeros = np.zeros(len(self._pixels), np.int64)
         rows = until.columns(self._pixels, zeros, zeros + self._place)
         start = np.empty(len(rows), np.int64)
         first_at_half(rows, until.full, LEAST_COUNTS << (until.bit_depth - 8), start)
         noise = noise_of(until, self._pixels, start, self._fallback, GUARD)
         if noise.measured:
-            self.weighing = Weighing(noise, sharp_width_of(until, self._pixels, start, noise))
+            self.weighting = EdgeWeighting(noise, sharp_width_of(until, self._pixels, start, noise))
 
 
 def grid(shape: tuple[int, int], pixels: int = GRID_PIXELS) -> NDArray[np.int64]:

@@ -17,7 +17,7 @@ from process.edge_fit.early_estimates import EarlyEstimates
 from process.edge_fit.filters import filtered
 from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.refine import Refined, refine
-from process.edge_fit.weighting import Sequence
+from process.edge_fit.weighting import FrameSequence
 from process.fold.fold import Fold
 
 from .fold_cursor import FoldCursor
@@ -67,9 +67,9 @@ def final_maps(
     return dataclasses.replace(refined, maps=marked(filtered(refined.maps), frames.other_light()))
 
 
-def sequence_of(frames: ScanFrames, present: NDArray[np.int64], settings: Settings) -> Sequence:
+def sequence_of(frames: ScanFrames, present: NDArray[np.int64], settings: Settings) -> FrameSequence:
     """The folded frames of a scan file as the estimates see them."""
-    return Sequence(frames.columns_of(present), present, settings.edge, frames.layout.format.bit_depth)
+    return FrameSequence(frames.columns_of(present), present, settings.edge, frames.layout.format.bit_depth)
 
 
 def cloud_of(

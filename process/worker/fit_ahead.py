@@ -15,7 +15,7 @@ from process.crossings.maps import Maps
 from process.edge_fit.early_estimates import EarlyEstimates
 from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.refine import starts
-from process.edge_fit.weighting import Sequence
+from process.edge_fit.weighting import FrameSequence
 from process.fold.fold import Fold
 from process.results.final_maps import sequence_of
 from process.results.fold_cursor import FoldCursor
@@ -34,7 +34,7 @@ class Ahead:
         self._wanted = settings.method in ("fit", "auto")
         self._fold: Fold | None = None
         self._early: EarlyEstimates | None = None
-        self._sequence: Sequence | None = None
+        self._sequence: FrameSequence | None = None
         self._looked = False
 
     def propose(self, maps: Maps, cursor: FoldCursor, frames: ScanFrames | None) -> None:
@@ -52,7 +52,7 @@ class Ahead:
         if self._early is None or self._fold is not cursor.fold:
             self._fold, self._early = cursor.fold, self._new()
         self._looked = False
-        if self._early.watch.weighing is not None:
+        if self._early.weighting_finder.weighting is not None:
             self._early.propose(maps, starts(maps, cursor.fold.present), len(present))
 
     def _give_up(self, error: ScanFileError) -> None:
@@ -80,7 +80,7 @@ class Ahead:
             if self._early.busy:
                 self._early.work(self._sequence)
             else:
-                self._looked = not self._early.watch.look(self._sequence, 1)
+                self._looked = not self._early.weighting_finder.advance(self._sequence, 1)
         except ScanFileError as error:
             self._give_up(error)
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from process.crossings.maps import Maps
 from process.crossings.quality import Quality
-from process.edge_fit.cramer_rao import crossing_bound
 from process.edge_fit.filters import filtered
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import Method, refine
-from process.edge_fit.weighting import Sequence
+from process.edge_fit.weighting import FrameSequence
 from process.fold.fold import Fold
+from tests.bench.cramer_rao import crossing_bound
 
 PHASES = 16
 DARK = 20.0
@@ -84,7 +84,7 @@ def estimated(frames: NDArray[np.uint8], method: Method, contrast: int, noise_co
     maps = fold.result(contrast=contrast, median=0, method=live, noise_counts=noise_counts, read_columns=None)
     if method == "linear":
         return maps
-    sequence = Sequence(columns_of_stack(frames), fold.present, "rising", 8)
+    sequence = FrameSequence(columns_of_stack(frames), fold.present, "rising", 8)
     return filtered(refine(maps, method, sequence, noise_counts).maps)
 
 
@@ -164,7 +164,7 @@ def bench_fit_speed(shape: tuple[int, int] = (768, 1024), frames: int = 527) -> 
     for index, frame in enumerate(stack):
         fold.add(index, frame, keep=True)
     maps = fold.result(contrast=70, median=5, method="probit", noise_counts=2.0, read_columns=None)
-    sequence = Sequence(columns_of_stack(stack), fold.present, "rising", 8)
+    sequence = FrameSequence(columns_of_stack(stack), fold.present, "rising", 8)
     some = np.full(shape, np.nan)
     chosen = slice(height // 2, height // 2 + max(1, height // 10))
     some[chosen] = maps.crossing[chosen]

@@ -18,7 +18,7 @@ from process.edge_fit.early_estimates import EarlyEstimates
 from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import refine, starts
-from process.edge_fit.weighting import Sequence, Watch
+from process.edge_fit.weighting import FrameSequence, WeightingFinder
 from process.fold.fold import Fold
 from process.results.final_maps import new_fold
 from process.results.fold_cursor import FoldCursor
@@ -56,15 +56,15 @@ def fold_of(frames, edge, until, fold=None):
     for index in range(fold.folded_through + 1, until):
         fold.add(index, frames[index])
     maps = fold.result(contrast=30, median=0, method="probit", noise_counts=NOISE, read_columns=None)
-    return fold, maps, Sequence(columns_of_stack(frames), fold.present, edge, 8)
+    return fold, maps, FrameSequence(columns_of_stack(frames), fold.present, edge, 8)
 
 
 def worked_ahead(frames, edge, steps, *, local=True):
     early, fold = EarlyEstimates(SHAPE, assumed_noise(NOISE), local=local), None
     for until in steps:
         fold, maps, sequence = fold_of(frames, edge, until, fold)
-        early.watch.look(sequence, 3)
-        if early.watch.weighing is not None:
+        early.weighting_finder.advance(sequence, 3)
+        if early.weighting_finder.weighting is not None:
             early.propose(maps, starts(maps, fold.present), until)
             while early.busy:
                 early.work(sequence)
@@ -108,15 +108,15 @@ def test_the_table_of_early_estimates_is_bounded(monkeypatch):
     assert np.array_equal(plain.maps.crossing, ahead.maps.crossing, equal_nan=True)
 
 
-def test_the_weighing_is_known_early_and_does_not_depend_on_when_one_looks():
+def test_the_weighting_is_known_early_and_does_not_depend_on_when_frames_are_read():
     frames = a_sweep()
     _, _, whole = fold_of(frames, "rising", FRAMES)
-    at_once, in_steps = Watch(SHAPE, assumed_noise(9.0)), Watch(SHAPE, assumed_noise(9.0))
-    at_once.look(whole, 100)
+    at_once, in_steps = WeightingFinder(SHAPE, assumed_noise(9.0)), WeightingFinder(SHAPE, assumed_noise(9.0))
+    at_once.advance(whole, 100)
     for until in range(10, FRAMES, 7):
-        in_steps.look(Sequence(whole.columns, whole.present[:until], "rising", 8), 1)
-    assert at_once.weighing is not None and at_once.weighing == in_steps.weighing
-    assert at_once.weighing.noise.sigma_at(60) == pytest.approx(NOISE, rel=0.15)
+        in_steps.advance(FrameSequence(whole.columns, whole.present[:until], "rising", 8), 1)
+    assert at_once.weighting is not None and at_once.weighting == in_steps.weighting
+    assert at_once.weighting.noise.sigma_at(60) == pytest.approx(NOISE, rel=0.15)
 
 
 @pytest.fixture
@@ -170,4 +170,4 @@ def test_work_ahead_stops_where_the_file_was_cut_short(colour_scan, tmp_path, ca
 
 
 def test_the_complement_of_a_falling_edge_is_told_from_the_full_scale():
-    assert Sequence(columns_of_stack(a_sweep()), np.arange(3), "falling", 12).full == full_scale(12)
+    assert FrameSequence(columns_of_stack(a_sweep()), np.arange(3), "falling", 12).full == full_scale(12)

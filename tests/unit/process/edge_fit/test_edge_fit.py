@@ -10,13 +10,13 @@ import pytest
 
 from process.crossings.quality import Quality
 from process.edge_fit import refine as refining
-from process.edge_fit.cramer_rao import crossing_bound
 from process.edge_fit.filters import filtered
 from process.edge_fit.noise_model import NoiseModel, assumed_noise, model_from
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import measure_noise, refine, starts
-from process.edge_fit.weighting import Sequence
+from process.edge_fit.weighting import FrameSequence
 from process.fold.fold import Fold
+from tests.bench.cramer_rao import crossing_bound
 from tests.bench.estimates import FLAGGED, bench_estimates, estimated, made_edges, true_crossing
 
 NOISE = 2.0
@@ -43,7 +43,7 @@ def folded(frames, edge="rising", indices=None):
     for index, frame in zip(indices if indices is not None else range(len(frames)), frames, strict=True):
         fold.add(int(index), frame)
     maps = fold.result(contrast=40, median=0, method="probit", noise_counts=NOISE, read_columns=None)
-    return maps, Sequence(columns_of_stack(frames), fold.present, edge, 8)
+    return maps, FrameSequence(columns_of_stack(frames), fold.present, edge, 8)
 
 
 def test_the_bound_is_the_closed_form_where_the_edge_is_wide():
@@ -194,7 +194,7 @@ def test_a_scan_too_sparse_to_measure_takes_the_configured_noise():
     assert model_from(np.ones((3, 2)), 255, assumed_noise(3.0)) == NoiseModel(9.0 + 1 / 12, 0.0, measured=False)
 
 
-def test_a_flyer_among_agreeing_neighbours_is_filtered_and_counted():
+def test_an_outlier_among_agreeing_neighbours_is_filtered_and_counted():
     maps = estimated(stored(edges(80.0)), "auto", 40, NOISE)
     crossing = maps.crossing.copy()
     crossing[4, 30] += 30

@@ -1,4 +1,4 @@
-"""Owns the physical limit of a crossing: the Cramer-Rao bound of an erf edge in discrete frames.
+"""The physical limit of a crossing: the Cramer-Rao bound of an erf edge in discrete frames.
 
 Cf. Gatherer 1993, The Cramer-Rao bound for discrete-time edge position.
 """
@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .noise_model import ROUNDING_VARIANCE
+from process.edge_fit.noise_model import ROUNDING_VARIANCE
 
 
 def crossing_bound(width: float, contrast: float, noise: float, phase: ArrayLike) -> NDArray[np.float64]:
