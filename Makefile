@@ -32,7 +32,7 @@ $(TEST_STAMP): pyproject.toml constraints.txt | $(VENV)/bin/python
 	@touch $@ $(STAMP)
 
 # the fold and its estimates are compiled once; whoever starts first afterwards need not wait
-$(KERNELS): $(STAMP) $(wildcard process/*.py process/fold/*.py process/crossings/*.py process/edge_fit/*.py)
+$(KERNELS): $(STAMP) $(wildcard process/*.py process/fold/*.py process/crossings/*.py process/edge_fit/*.py process/cloud/*.py)
 	@echo "compiling the fold, once: about a minute"
 	@$(PY) -m process.warmup
 	@touch $@

@@ -1,53 +1,22 @@
-"""Compilation of the kernels with numba: without the interpreter lock, cached under the digest of all their sources.
-
-numba's cache notices a change of the file that a kernel is defined in, but not of a file that it calls into. A stale
-mixture of the two would write past its arrays, hence one cache folder per digest. A kernel's file that is added or
-renamed goes into SOURCES; the Makefile's $(KERNELS) rule finds it by its folder.
-"""
+"""The decorators of the kernels; see acquire.contract.process.kernel_cache."""
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit
-
-SOURCES = (
-    "numba_cache",
-    "simd",
-    "pixel_layout",
-    "fold/maxima_log",
-    "fold/kernels",
-    "crossings/quality",
-    "crossings/two_sample_kernels",
-    "fold/colour",
-    "edge_fit/initial_guess",
-    "edge_fit/erf_fit_kernels",
-    "edge_fit/pixel_kernels",
-    "edge_fit/noise_model",
-    "edge_fit/pixel_columns",
-    "edge_fit/weighting",
-    "edge_fit/filters",
-)
-"""Modules of this package whose code or constants end up in kernels."""
+from acquire.contract.process.kernel_cache import digest_of, kernel_decorator
 
 _HERE = Path(__file__).parent
+SOURCES = [_HERE / "simd.py", _HERE / "pixel_layout.py"] + [
+    path for folder in ("fold", "crossings", "edge_fit", "cloud") for path in (_HERE / folder).glob("*.py")
+]
+"""Every module whose code or constants can end up in a kernel."""
 
+SOURCES_DIGEST = digest_of(SOURCES)
 
-def source_digest() -> str:
-    """Short sha256 over the kernels' sources."""
-    digest = hashlib.sha256()
-    for name in SOURCES:
-        digest.update((_HERE / f"{name}.py").read_bytes())
-    return digest.hexdigest()[:16]
-
-
-# Where this folder cannot be written, numba falls back to its own one in the home directory.
-config.CACHE_DIR = str(_HERE / "__pycache__" / f"kernels-{source_digest()}")  # type: ignore[attr-defined]
-
-kernel: Any = njit(cache=True, nogil=True)
+kernel: Any = kernel_decorator(SOURCES_DIGEST)
 """Decorator of a kernel."""
 
-inlined_kernel: Any = njit(cache=True, nogil=True, inline="always")
+inlined_kernel: Any = kernel_decorator(SOURCES_DIGEST, inline=True)
 """Decorator of a part of kernels that is too small for a call of its own."""

@@ -1,6 +1,9 @@
-"""Owns the step from a crossing to a point: camera rays, light planes, and their intersection with its sigma.
+"""Algorithm 4 of the paper, from crossings to points: camera rays, light planes, intersections and their sigma.
 
 OpenCV's conventions: X_cam = R X_world + T (equation 1), pixel centres at integers, mm. All arithmetic is float64.
+A ray is X = u + lambda v (equation 2), a light plane n(t) . X = d(t) (equation 3 with d = n . q), their intersection
+lambda = (d - n . u) / (n . v) (equation 4). The paper's listings use R and T the other way round (camera to world);
+here they are world to camera, as OpenCV returns them.
 """
 
 from __future__ import annotations
@@ -11,12 +14,12 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel, PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import CalibrationError
 from acquire.contract.units import UM_PER_MM
+from process.numba_cache import inlined_kernel, kernel
 
 F8 = NDArray[np.float64]
 LightPlane = TranslatingPlane | PerFramePlanes
@@ -31,7 +34,7 @@ class Rays(NamedTuple):
     """One ray for each pixel: point = centre_mm + distance * directions, distance > 0 in front of the camera."""
 
     centre_mm: F8
-    """[3], the camera's pinhole u = -R^T T in world coordinates."""
+    """[3], u = -R^T T: the camera's pinhole in world coordinates."""
     directions: F8
     """[n, 3], v = R^T K^-1 p' (undistorted); not normalised: one unit is 1 mm along the optical axis."""
 
@@ -162,7 +165,7 @@ def intersect(found_rays: Rays, table: PlaneTable, frame_t: F8, hits: Hits) -> t
     return points, sigma_um
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _coordinate(frame_t, crossing):  # type: ignore[no-untyped-def]
     """Sweep coordinate t of a fractional frame index, and its change per frame."""
     frame = min(int(crossing), max(len(frame_t) - 2, 0))
@@ -170,7 +173,7 @@ def _coordinate(frame_t, crossing):  # type: ignore[no-untyped-def]
     return frame_t[frame] + (crossing - frame) * unit, unit
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _plane(table, t, plane, change):  # type: ignore[no-untyped-def]
     """Coefficients at t into ``plane``, their derivative into ``change``."""
     low, at, high = 0, t, 0
@@ -178,13 +181,15 @@ def _plane(table, t, plane, change):  # type: ignore[no-untyped-def]
         low = min(int(t - table.first), max(len(table.nodes) - 2, 0))
         high = min(low + 1, len(table.nodes) - 1)
         at = t - table.first - low
+    # a translating plane has one node and a slope, per-frame planes have many nodes and no slope: one formula for both
     for part in range(4):
         change[part] = table.slope[part] + table.nodes[high, part] - table.nodes[low, part]
         plane[part] = table.nodes[low, part] + at * change[part]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _intersect(found_rays, table, frame_t, hits, found):  # type: ignore[no-untyped-def]
+    """The loop of algorithm 4 over ``hits``; writes points [n, 3] and sigma_um [n] of ``found``, skips what misses."""
     centre = found_rays.centre_mm
     plane, change = np.empty(4), np.empty(4)
     points, sigma_um = found
@@ -198,14 +203,17 @@ def _intersect(found_rays, table, frame_t, hits, found):  # type: ignore[no-unty
         _plane(table, t, plane, change)
         vx, vy, vz = found_rays.directions[hits.pixels[index]]
         along = plane[0] * vx + plane[1] * vy + plane[2] * vz
+        # v is not normalised (1 along the optical axis), n neither where planes are interpolated
         length = np.sqrt(vx * vx + vy * vy + vz * vz)
         normal = np.sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2])
         if not abs(along) > PARALLEL_SINE * length * normal:
             continue
+        # equation 4; behind the camera is no point, and `not >` also refuses NaN
         distance = (plane[3] - plane[0] * centre[0] - plane[1] * centre[1] - plane[2] * centre[2]) / along
         if not distance > 0.0:
             continue
         x, y, z = centre[0] + distance * vx, centre[1] + distance * vy, centre[2] + distance * vz
         points[index, 0], points[index, 1], points[index, 2] = x, y, z
+        # n(t) . X(t) = d(t) derived by t, with X moving along the ray only: dlambda/dt = (d' - n' . X) / (n . v)
         speed = abs((change[3] - change[0] * x - change[1] * y - change[2] * z) / along) * length
         sigma_um[index] = hits.sigma[index] * speed * abs(unit) * UM_PER_MM

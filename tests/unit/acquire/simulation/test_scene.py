@@ -6,14 +6,12 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from numba import njit
 
 from acquire.contract.calibration import parse_calibration
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import ConfigError
-from acquire.simulation import DEFAULT_CAMERA, Renderer, build_scene, ideal_calibration, kernels, truth, write_truth
-from acquire.simulation.kernels import SOURCES_DIGEST
-from acquire.simulation.raycast import see_surfaces, visible_share
+from acquire.simulation import DEFAULT_CAMERA, Renderer, build_scene, ideal_calibration, truth, write_truth
+from acquire.simulation.raycast import visible_share
 
 CAMERA = {"exposure_ms": 30.0, "gain": 6.0, "brightness": 0.0}
 NOISELESS = {"read_noise_counts": 0.0, "full_well_electrons": 0.0}
@@ -189,10 +187,6 @@ def test_frame_and_position_parameters_name_the_same_plane():
         )
 
 
-def test_kernels_are_compiled_anew_when_any_source_of_theirs_changes():
-    assert see_surfaces._cache._cache_file._source_stamp == SOURCES_DIGEST
-
-
 @pytest.mark.parametrize(
     ("config", "size", "um", "message"),
     [
@@ -206,13 +200,3 @@ def test_kernels_are_compiled_anew_when_any_source_of_theirs_changes():
 def test_a_scene_that_cannot_be_is_refused_by_name(config, size, um, message):
     with pytest.raises(ConfigError, match=message):
         build_scene(SimulationConfig(**config), width=size[0], height=size[1], um_per_microstep=um)
-
-
-def test_kernels_work_where_no_folder_can_hold_their_cache(monkeypatch):
-    def refuse_cache(**options):
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(**options)
-
-    monkeypatch.setattr(kernels, "njit", refuse_cache)
-    assert kernels.kernel(lambda x: x + 1)(1) == 2

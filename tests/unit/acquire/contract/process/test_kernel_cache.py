@@ -1,0 +1,53 @@
+"""Kernels are kept on disk, and compiled again when anything changes that they are made of."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba import njit
+
+from acquire.contract.process import kernel_cache
+from tests import ROOT
+
+_OUTER = """
+from pathlib import Path
+from acquire.contract.process.kernel_cache import digest_of, kernel_decorator
+from inner import value
+
+@kernel_decorator(digest_of(Path(__file__).parent.glob("*.py")))
+def outer(x):
+    return x + value()
+
+print(outer(1), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def run(folder: Path, value: int) -> tuple[int, int]:
+    """The kernel's result and how often it was taken from the cache, in a process of its own."""
+    (folder / "outer.py").write_text(_OUTER)
+    (folder / "inner.py").write_text(f"from numba import njit\n\n@njit\ndef value():\n    return {value}\n")
+    environ = {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "PATH": ""}
+    done = subprocess.run(
+        [sys.executable, folder / "outer.py"], capture_output=True, text=True, env=environ, check=True
+    )
+    result, hits = done.stdout.split()
+    return int(result), int(hits)
+
+
+def test_a_kernel_is_compiled_once_and_again_when_a_file_that_it_calls_into_changes(tmp_path):
+    assert run(tmp_path, value=10) == (11, 0)
+    assert run(tmp_path, value=10) == (11, 1)
+    assert run(tmp_path, value=20) == (21, 0)
+
+
+def test_kernels_work_where_no_folder_can_hold_their_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse_cache(**options):
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(**options)
+
+    monkeypatch.setattr(kernel_cache, "njit", refuse_cache)
+    assert kernel_cache.kernel_decorator(b"")(lambda x: x + 1)(1) == 2
