@@ -190,7 +190,7 @@ class Daemon:
         self._changed |= self._commands.serve()
         self._watch_messages()
         if self.scan is not None:
-            self.scan.handle(Tick(self.rig.stage.status().sound_ns), now_ns)
+            self.scan.handle(Tick(self.rig.stage.status().no_alarm_ns), now_ns)
             self._watch_writer(self.scan, now_ns)
             self._follow_scan()
         else:

@@ -117,7 +117,7 @@ class StageStatus(msgspec.Struct, frozen=True):
     triggers: int
     """Triggers fired since boot."""
     lamp_on: bool = False
-    sound_ns: int | None = None
+    no_alarm_ns: int | None = None
     """CLOCK_MONOTONIC at which the controller is known to have been without an alarm; None where it cannot be known."""
     damaged_blocks: int = 0
     """Blocks that came damaged over the line since it was opened, and were asked for again."""

@@ -31,10 +31,10 @@ class Confirmation:
         self._waiting.append((exposed_until_ns, publish))
         return []
 
-    def confirm(self, sound_ns: int | None) -> list[Publish]:
-        """The controller was without an alarm at ``sound_ns`` (CLOCK_MONOTONIC): frames exposed by then."""
+    def confirm(self, no_alarm_ns: int | None) -> list[Publish]:
+        """The controller was without an alarm at ``no_alarm_ns`` (CLOCK_MONOTONIC): frames exposed by then."""
         found = []
-        while self._waiting and sound_ns is not None and self._waiting[0][0] <= sound_ns:
+        while self._waiting and no_alarm_ns is not None and self._waiting[0][0] <= no_alarm_ns:
             found.append(self._waiting.popleft()[1])
         return found
 

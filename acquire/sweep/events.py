@@ -69,8 +69,8 @@ class StopRequested:
 class Tick:
     """Time has passed."""
 
-    sound_ns: int | None = None
-    """``StageStatus.sound_ns``."""
+    no_alarm_ns: int | None = None
+    """``StageStatus.no_alarm_ns``."""
 
 
 SweepEvent = StageEvent | CameraFrame | CameraGone | LaneEvent | PauseRequested | ResumeRequested | StopRequested | Tick

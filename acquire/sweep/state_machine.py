@@ -467,7 +467,7 @@ class Sweep:
     # ---- time ----
 
     def _on_tick(self, event: Tick, now_ns: int) -> list[Action]:
-        actions = self._send(self.intake.confirmation.confirm(event.sound_ns))
+        actions = self._send(self.intake.confirmation.confirm(event.no_alarm_ns))
         if self._camera_is_missed(now_ns):
             actions += self._give_up(Outcome.INTERRUPTED, "it did not come back", "F18", now_ns)
         loss = self.intake.overdue(now_ns)

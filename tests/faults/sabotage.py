@@ -289,10 +289,10 @@ def _no_reconnect() -> None:
 
 
 def _no_boot_id() -> None:
-    from acquire.stages.uno.reports import UnoReports
+    from acquire.stages.uno.reports import ReportFollower
 
-    real = UnoReports.on_back
-    _replace(UnoReports, "on_back", lambda self, hello, same_session: real(self, hello, same_session=True))
+    real = ReportFollower.on_back
+    _replace(ReportFollower, "on_back", lambda self, hello, same_session: real(self, hello, same_session=True))
 
 
 def _no_handshake() -> None:
@@ -317,12 +317,12 @@ def _no_lease() -> None:
     from acquire.stages.uno import wire_format as wire
 
     real = uno_config.config_body
-    from acquire.stages.uno import reports as uno_reports
+    from acquire.stages.uno import stage as uno_stage
 
     longest = wire.LEASE_MAX_MS
     import msgspec
 
-    _replace(uno_reports, "config_body", lambda config: real(msgspec.structs.replace(config, motion_lease_ms=longest)))
+    _replace(uno_stage, "config_body", lambda config: real(msgspec.structs.replace(config, motion_lease_ms=longest)))
     assert twin.TwinStage
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from acquire.contract.config.model import StageConfig
+from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEvent, Triggered
+from acquire.stages.uno.config import switch_position_steps
 from acquire.stages.uno.emulator import Emulator, PinState, TriggerEdge, build_firmware
 from acquire.stages.uno.link import LinkTiming
-from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEvent, Triggered
 from acquire.stages.uno.stage import UnoStage
-from acquire.stages.uno.config import switch_position_steps
 from tests.needs import EMULATOR, need
 from tests.waiting import DEADLINE_S, wait_for
 

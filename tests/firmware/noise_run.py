@@ -13,8 +13,8 @@ import time
 from concurrent.futures import Future
 from pathlib import Path
 
-from acquire.stages.uno.framing import Block
 from acquire.stages.uno.emulator import build_firmware
+from acquire.stages.uno.framing import Block
 from acquire.stages.uno.wire_format import AckBody, Cmd, GrantBody, McuState, MoveBody, Result, StatusBody
 
 from .conftest import Bench
@@ -35,13 +35,16 @@ def run_seed(bench: Bench, seed: int, traffic_bytes: int, share: float) -> tuple
     before, place, moved = bench.pins(), 50, 0
     while (pins := bench.pins()).bytes_in + pins.bytes_out - before.bytes_in - before.bytes_out < traffic_bytes:
         distance = 1 if place < 100 else -1
-        moves = [bench.stage._link.send(Cmd.MOVE, MoveBody(distance, 1, 0).pack()) for _ in range(BATCH)]
-        bench.stage._link.send(Cmd.GRANT, GrantBody(-1).pack())
+        moves = [bench.stage.send(Cmd.MOVE, MoveBody(distance, 1, 0).pack()) for _ in range(BATCH)]
+        bench.stage.send(Cmd.GRANT, GrantBody(-1).pack())
         bench.stage.keep_alive()
         done = sum(map(_ran, moves))
         moved, place = moved + done, place + distance * done
     bench.emulator.knob("noise 0")
-    while bench.stage._link.ask(Cmd.STATUS, StatusBody(0).pack()) and bench.stage.report.state != McuState.IDLE:
+    while (
+        bench.stage.send(Cmd.STATUS, StatusBody(0).pack()).result(timeout=3)
+        and bench.stage.report.state != McuState.IDLE
+    ):
         bench.stage.keep_alive()
     after = bench.pins()
     if bench.stage.report.position != place:

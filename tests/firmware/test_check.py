@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from acquire.contract.config.model import StageConfig
-from acquire.stages.wiring_check import DISTANCE_STEPS, StageCheck
 from acquire.stages.uno.emulator import Emulator
 from acquire.stages.uno.stage import UnoStage
+from acquire.stages.wiring_check import DISTANCE_STEPS, StageCheck
 
 
 class Person:

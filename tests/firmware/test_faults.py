@@ -8,12 +8,12 @@ import pytest
 
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
+from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, Stopped, Triggered
 from acquire.stages.uno.emulator import Emulator, build_firmware
 from acquire.stages.uno.handshake import FirmwareMismatchError
-from acquire.stages.uno.serial_io import LinkLostError
 from acquire.stages.uno.link import LinkTiming
 from acquire.stages.uno.ports import PortError, open_port
-from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, Stopped, Triggered
+from acquire.stages.uno.serial_io import LinkLostError
 from acquire.stages.uno.stage import UnoStage
 from acquire.stages.uno.wire_format import LINK_BAUD, Cmd, McuState, MoveBody, StatusBody
 from tests.waiting import WALL_CLOCK_S
@@ -35,7 +35,7 @@ def wanted(segment):
 
 def at_rest(bench):
     """By a fresh report: the last one may be older than the last command."""
-    bench.stage._link.ask(Cmd.STATUS, StatusBody(0).pack())
+    bench.stage.send(Cmd.STATUS, StatusBody(0).pack()).result(timeout=3)
     return bench.stage.report.state == McuState.IDLE
 
 
@@ -81,7 +81,7 @@ def test_f11_noise_on_the_line_moves_nothing_wrong_and_runs_nothing_twice(bench,
     asked = moved = 0
     while bench.pins().bytes_in - before.bytes_in < 15_000:
         distance = 1 if place < 100 else -1
-        answers = [bench.stage._link.send(Cmd.MOVE, MoveBody(distance, 1, 0).pack()) for _ in range(8)]
+        answers = [bench.stage.send(Cmd.MOVE, MoveBody(distance, 1, 0).pack()) for _ in range(8)]
         bench.stage.keep_alive()
         # a relative move is refused while the one before still runs: what was acknowledged, and only that, moves
         done = [answer.result(timeout=WALL_CLOCK_S).body[0] == 0 for answer in answers]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.stages.uno.emulator import FIRMWARE_DIR
 from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, Stopped
 from acquire.stages.uno.config import switch_position_steps
+from acquire.stages.uno.emulator import FIRMWARE_DIR
 from tests.firmware.conftest import LIMIT_AT
 from tests.needs import need
 from tests.waiting import run

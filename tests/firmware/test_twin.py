@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import subprocess
 import sys
 
 import numpy as np
@@ -12,10 +13,10 @@ import pytest
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.config.model import CameraConfig, RigConfig, StageConfig
 from acquire.contract.config.simulation import SimulationConfig
-from acquire.rigs.simulated import SimulatedRig
 from acquire.rigs.build import build_rig
-from acquire.stages.protocol import Moved, Segment, SegmentDone, Triggered
+from acquire.rigs.simulated import SimulatedRig
 from acquire.rigs.twin import TwinRig
+from acquire.stages.protocol import Moved, Segment, SegmentDone, Triggered
 from tests.waiting import next_of, run, wait_for
 
 SEGMENT = Segment(30, 6, 8, dwell_ms=4.0, run_up_steps=20)

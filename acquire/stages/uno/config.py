@@ -1,4 +1,4 @@
-"""From [stage] and from segments to the firmware's numbers; refuses what does not fit before anything is sent."""
+"""Converts [stage] and segments to the firmware's structures; refuses what is out of bounds before it is sent."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def switch_position_steps(config: StageConfig) -> int:
 
 
 def wiring_flags(config: StageConfig) -> ConfigFlag:
-    """What the firmware has to know of the wiring."""
+    """The wiring, as flags of the firmware's configuration."""
     named = {
         ConfigFlag.INVERT_DIRECTION: config.invert_direction,
         ConfigFlag.LIMIT_CLOSES: config.limit_closes,

@@ -1,4 +1,7 @@
-"""Blocks on the stage's line: COBS, length, sequence, type, body, crc32. Pure; a damaged block never comes out."""
+"""Framing of the serial protocol: COBS blocks of length, sequence, type, body and CRC-32; damaged blocks are dropped.
+
+Pure: bytes in, blocks out. Source: firmware/protocol.h.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ LONGEST_ENCODED = 254
 
 @dataclass(frozen=True)
 class Block:
-    """One sound block."""
+    """One valid block."""
 
     sequence: int
-    """0..255; of the command that it carries or answers."""
+    """0..255; that of the command it carries or answers."""
     kind: int
     body: bytes
 
@@ -47,7 +50,7 @@ def decode_block(encoded: bytes) -> Block | None:
 
 
 class BlockReader:
-    """Cuts a stream of bytes into sound blocks and counts the damaged ones; memory is bounded."""
+    """Cuts a stream of bytes into valid blocks and counts the damaged ones; memory is bounded."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
@@ -56,7 +59,7 @@ class BlockReader:
         """Blocks that were thrown away."""
 
     def feed(self, data: bytes) -> list[Block]:
-        """The sound blocks that end within ``data``."""
+        """The valid blocks that end within ``data``."""
         self._rest += data
         *ended, rest = bytes(self._rest).split(b"\0")
         found = [block for encoded in ended if (block := self._take(encoded)) is not None]

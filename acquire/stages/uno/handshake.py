@@ -1,4 +1,4 @@
-"""The handshake with the firmware: nothing is believed of a controller before it has shown that it is ours."""
+"""Handshake with the firmware: protocol version and checksum of the declarations must match before anything is sent."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ _HELLO_AGAIN_S: Final = 0.1
 
 
 class FirmwareMismatchError(SweepscopeError):
-    """Something answers, but it is no firmware that this driver can trust."""
+    """Another firmware, or another version of ours, answers."""
 
 
 def new_nonce() -> int:
-    """The name of a new session; never 0, which is none."""
+    """Random id of a new session; never 0, which means none."""
     return secrets.randbelow(0xFFFF_FFFF) + 1
 
 
 def shake_hands(
     port: serial.Serial, reader: BlockReader, nonce: int, within_s: float, given_up: Callable[[], bool]
 ) -> HelloReplyBody:
-    """Say hello until the firmware answers.
+    """Send HELLO until the firmware answers.
 
     Raises:
-        LinkLostError: nothing answers ``within_s``, or it was ``given_up``.
+        LinkLostError: nothing answers ``within_s``, or ``given_up`` returns True.
         FirmwareMismatchError: another firmware answers.
     """
     deadline_s = time.monotonic() + within_s

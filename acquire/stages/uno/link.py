@@ -1,4 +1,8 @@
-"""The serial link to the firmware: a thread that keeps the session, runs each command once and comes back by itself."""
+"""Session with the firmware over the serial port: one thread that sends, sends again, and reconnects.
+
+Each command is carried out exactly once (:mod:`.send_window`). When the port is lost, the thread opens it again and
+shakes hands until the controller answers; commands under way fail with ``LinkLostError``.
+"""
 
 from __future__ import annotations
 
@@ -25,23 +29,23 @@ from .wire_format import AckBody, Cmd, EventBody, HelloReplyBody, Msg, ReportBod
 logger = logging.getLogger(__name__)
 
 _IDLE_S = 0.02
-"""Longest rest of the thread: it also asks the handler for its poll this often."""
+"""Longest wait of the thread; it asks the handler for its poll at least this often."""
 _REOPEN_S = 0.2
 
 
 class LinkHandler(Protocol):
-    """Who is told what comes over the link; called from the link's thread."""
+    """Receives what comes over the link; called from the link's thread."""
 
     def on_report(self, report: ReportBody, events: tuple[EventBody, ...]) -> None:
         """The firmware's state and new trigger events."""
         ...
 
     def on_lost(self, detail: str) -> None:
-        """The controller is gone; the link tries to get it back."""
+        """The connection is lost; the link tries to reconnect."""
         ...
 
     def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
-        """It is back; ``same_session`` is False if it has restarted meanwhile."""
+        """Connected again; ``same_session`` is False if the controller has restarted meanwhile."""
         ...
 
     def poll(self) -> bytes | None:
@@ -54,9 +58,9 @@ class LinkTiming:
     """Waits of the link in seconds."""
 
     hello_s: float = 4.0
-    """How long a handshake may take; an Uno's loader keeps it waiting for two seconds after a reset."""
+    """How long a handshake may take; an Uno's boot loader takes two seconds after a reset."""
     silence_s: float = 1.5
-    """Unanswered for so long: the controller is gone."""
+    """The connection counts as lost after this time without an answer."""
     sending: Timing = Timing()
 
 
@@ -179,7 +183,7 @@ class Link:
         self._wait(port)
         self._read(port)
         self._watch_silence()
-        # one question at a time: the next report answers it, or was made even later
+        # one status request at a time: the next report answers it, or is even newer
         with self._lock:
             asked = self._window.holds(Cmd.STATUS)
         body = None if asked else self._handler.poll()
@@ -221,7 +225,7 @@ class Link:
             if block.kind == Msg.REPORT:
                 self._handler.on_report(*unpack_report(block.body))
         except ValueError as error:
-            logger.warning("a sound block made no sense: %s", error)
+            logger.warning("a valid block has contents that make no sense: %s", error)
 
     def _watch_silence(self) -> None:
         now_s = time.monotonic()
@@ -232,14 +236,14 @@ class Link:
         elif now_s - max(self._heard_s, self._unanswered_since_s) > self._timing.silence_s:
             raise LinkLostError(f"the stage's controller was silent for {self._timing.silence_s} s")
 
-    # ---- losing it and getting it back ----
+    # ---- connection lost, and reconnecting ----
 
     def _lose(self, detail: str) -> None:
         if self._closing:
             return
         self.lost_count += 1
         old_nonce, self._nonce = self._nonce, 0
-        nonce = new_nonce()  # one for all tries: an answer may be lost after the firmware has taken it over
+        nonce = new_nonce()  # one for all tries: the firmware may have accepted it although its answer was lost
         self._fail_all(detail)
         self._handler.on_lost(detail)
         while not self._closing:
@@ -272,7 +276,7 @@ class Link:
             command.answer.set_exception(LinkLostError(detail))
 
     def _shake_hands(self, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
-        """A new session; True if the controller still is what it was in the old one."""
+        """Begin a session; True if the controller has kept its state since the old one."""
         within_s = self._timing.hello_s
         hello = shake_hands(self._need_port(), self._reader, nonce, within_s, lambda: self._closing)
         same = old_nonce != 0 and hello.previous_nonce == old_nonce and hello.boot_id == self._boot_id

@@ -1,4 +1,4 @@
-"""Opens the controller's serial port, or says in plain words why it cannot be opened."""
+"""Opens the controller's serial port, or explains why it cannot be opened."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class PortMissingError(PortError):
 
 
 def known_ports() -> list[str]:
-    """Serial ports of this machine, by their lasting names where they have one."""
+    """Serial ports of this machine, by their persistent names (/dev/serial/by-id) where they have one."""
     if _BY_ID.is_dir():
         named = sorted(str(path) for path in _BY_ID.iterdir())
         if named:

@@ -1,26 +1,25 @@
-"""What the firmware's reports mean for the stage: trigger events in order, holds, ends of motion, a lost controller."""
+"""Follows the firmware by its reports: trigger events in order, holds, the end of each motion, a lost controller.
+
+Runs in the thread of the serial link; :mod:`acquire.stages.uno.stage` makes the calls. What both need is kept here
+behind one lock, and changes by the verbs of :class:`ReportFollower` only.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Callable
-from typing import Literal
-
-import serial
+from concurrent.futures import Future
+from typing import Literal, Protocol
 
 from acquire.contract.config.model import StageConfig
+from acquire.contract.errors import CommandRefusedError
 from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, StageSink, StageStatus, Stopped, Triggered
 from acquire.stages.uno.framing import Block
 
-from .config import config_body
-from .link import Link, LinkTiming
-from .ports import choose_port, open_port
 from .serial_io import LinkLostError
 from .texts import alarm_event, reset_words
 from .wire_format import (
-    LINK_BAUD,
     AckBody,
     Cmd,
     EventBody,
@@ -43,29 +42,30 @@ _POLL_ACTIVE_S = 0.02
 _POLL_IDLE_S = 0.2
 _RESUME_AGAIN_S = 0.1
 _RECONNECT_S = 15.0
-"""So long the controller may be away before the activity is given up."""
+"""The activity is given up when the controller has been away for this long."""
 _NS_PER_16_CYCLES = 1000
 """At 16 MHz."""
 
 Activity = Literal["move", "home", "zero", "touch", "segment"]
 
 
-class UnoReports:
-    """Follows the firmware from the link's thread; :class:`acquire.stages.uno.stage.UnoStage` adds the calls."""
+class Send(Protocol):
+    """Queues a command on the link; the future holds its answer."""
 
-    def __init__(
-        self,
-        config: StageConfig,
-        *,
-        opener: Callable[[], serial.Serial] | None = None,
-        timing: LinkTiming | None = None,
-    ) -> None:
+    def __call__(self, kind: Cmd, body: bytes = b"") -> Future[Block]:
+        """Queue it."""
+        ...
+
+
+class ReportFollower:
+    """What the host knows of the controller, and the events that follow from its reports."""
+
+    def __init__(self, config: StageConfig, configuration: bytes, send: Send) -> None:
+        """``configuration`` is the body that is sent again to a controller that has restarted."""
+        self.sink: StageSink = lambda _event: None
         self._config = config
-        self._body = config_body(config)
-        self._link = Link(
-            opener or (lambda: open_port(choose_port(config.port), LINK_BAUD)), self, timing or LinkTiming()
-        )
-        self._sink: StageSink = lambda _event: None
+        self._configuration = configuration
+        self._send = send
         self._lock = threading.RLock()
         self._report: ReportBody | None = None
         self._activity: Activity | None = None
@@ -78,17 +78,95 @@ class UnoReports:
         self._hold_wanted = False
         self._held_for = McuHold.NONE
         self._lost_since_s: float | None = None
-        self._alive_s = self._polled_s = self._resumed_s = 0.0
-        self._asked_ns = self._sound_ns = 0
+        self._alive_s = time.monotonic()
+        self._polled_s = self._resumed_s = 0.0
+        self._asked_ns = self._no_alarm_ns = 0
         self.strobes = 0
-        """Strobes that the firmware has seen since its start."""
+        """Strobes that the firmware has counted since its start."""
+
+    # ---- what the calls change ----
+
+    def ignore_past_triggers(self) -> None:
+        """Triggers fired before this connection belong to another process."""
+        with self._lock:
+            self._next_event = self.report.triggers
+
+    def claim(self) -> bool:
+        """Reserve the stage for one activity; True if an alarm must be cleared first.
+
+        Raises:
+            CommandRefusedError: it moves already, or its controller is not connected.
+        """
+        with self._lock:
+            if self._activity is not None or self._claimed:
+                raise CommandRefusedError("the stage is moving: wait for it, or stop it")
+            if self._lost_since_s is not None:
+                raise CommandRefusedError("the stage's controller is not connected: plug it in")
+            alarm = self.report.state == McuState.ALARM
+            self._claimed = True
+            self._hold_wanted = False
+            self._held_for = McuHold.NONE
+            return alarm
+
+    def release(self) -> None:
+        """End the reservation; an activity that was started goes on."""
+        self._claimed = False
+
+    def started(self, activity: Activity) -> None:
+        """The firmware has acknowledged the start: every later report is about this activity."""
+        with self._lock:
+            self._activity = activity
+            self._polled_s = 0.0
+
+    def prepare_segment(self, segment: Segment, may_trigger_through: int) -> tuple[int, int]:
+        """Remember the segment that is about to start; returns its id and the trigger id of shot 0."""
+        with self._lock:
+            self._segment_id = (self._segment_id + 1) & 0xFFFF
+            self._segment, self._first_id = segment, self.report.triggers
+            self._granted = may_trigger_through
+            return self._segment_id, self._first_id
+
+    def raise_credit(self, may_trigger_through: int) -> int:
+        """Raise the segment's credit; returns it as a trigger id."""
+        with self._lock:
+            self._granted = max(self._granted, may_trigger_through)
+            return self._first_id + self._granted
+
+    def want_hold(self, *, hold: bool) -> bool:
+        """Remember whether a hold is wanted; False if there is no segment to hold."""
+        with self._lock:
+            if hold and self._activity != "segment":
+                return False
+            self._hold_wanted = hold
+            return True
+
+    @property
+    def active(self) -> bool:
+        """True while something moves or is about to."""
+        return self._activity is not None or self._claimed
+
+    @property
+    def next_event(self) -> int:
+        """Id of the next trigger event that the host expects."""
+        return self._next_event
+
+    @property
+    def report(self) -> ReportBody:
+        """The firmware's last report.
+
+        Raises:
+            LinkLostError: there is none yet.
+        """
+        if self._report is None:
+            raise LinkLostError("the stage's controller has not reported yet")
+        return self._report
 
     def status(self) -> StageStatus:
         """What the last report said."""
         with self._lock:
             report = self._report
             lost = self._lost_since_s is not None
-            moving = self._activity is not None or self._claimed
+            moving = self.active
         if report is None:
             return StageStatus(0, position_trusted=False, zero_id="", moving=False, triggers=0)
         return StageStatus(
@@ -98,30 +176,15 @@ class UnoReports:
             moving=moving,
             triggers=report.triggers,
             lamp_on=bool(report.flags & Flag.LAMP),
-            sound_ns=self._sound_ns,
-            damaged_blocks=self._link.counters()["damaged"],
+            no_alarm_ns=self._no_alarm_ns,
         )
 
     def keep_alive(self) -> None:
-        """The host's main loop lives; also gives the activity up when the controller stays away."""
+        """The host's main loop is running; gives the activity up when the controller stays away."""
         self._alive_s = time.monotonic()
         lost_s = self._lost_since_s
         if lost_s is not None and self._alive_s - lost_s > _RECONNECT_S:
             self._give_up("F12", "it did not come back")
-
-    def counters(self) -> dict[str, int]:
-        """The link's counters."""
-        return {**self._link.counters(), "strobes": self.strobes}
-
-    @property
-    def report(self) -> ReportBody:
-        """The firmware's last report."""
-        return self._need_report()
-
-    def _need_report(self) -> ReportBody:
-        if self._report is None:
-            raise LinkLostError("the stage's controller has not reported yet")
-        return self._report
 
     # ---- from the link's thread ----
 
@@ -149,10 +212,10 @@ class UnoReports:
             self.strobes = report.strobes
             fired = self._take_events(events)
         for event in fired:
-            self._sink(event)
+            self.sink(event)
         if report.state != McuState.ALARM:
             # it was made after it was asked for, whenever that was exactly
-            self._sound_ns = self._asked_ns
+            self._no_alarm_ns = self._asked_ns
         if self._activity is None:
             return
         if report.state in (McuState.IDLE, McuState.ALARM):
@@ -195,32 +258,32 @@ class UnoReports:
 
     def _tell_held(self, reason: McuHold, position_steps: int) -> None:
         if reason in (McuHold.HOST, McuHold.REALTIME) and self._hold_wanted:
-            self._sink(Held("requested", position_steps))
+            self.sink(Held("requested", position_steps))
         elif reason == McuHold.LEASE:
-            self._sink(Held("lease", position_steps))
+            self.sink(Held("lease", position_steps))
         elif reason == McuHold.NO_CREDIT and self._segment.mode == "fly":
-            self._sink(Held("no credit", position_steps))
+            self.sink(Held("no credit", position_steps))
 
     def _resume_soon(self) -> None:
         now_s = time.monotonic()
         if now_s - self._resumed_s > _RESUME_AGAIN_S:
             self._resumed_s = now_s
-            self._link.send(Cmd.RESUME)
+            self._send(Cmd.RESUME)
 
     def _finish(self, report: ReportBody) -> None:
         with self._lock:
             activity, self._activity = self._activity, None
         if report.state == McuState.ALARM:
-            self._sink(alarm_event(McuAlarm(report.alarm), report.position))
+            self.sink(alarm_event(McuAlarm(report.alarm), report.position))
         elif report.stop_reason != McuStop.DONE and activity != "zero":
             reason = "lease" if report.stop_reason == McuStop.LEASE else "requested"
-            self._sink(Stopped(report.position, position_trusted=bool(report.flags & Flag.TRUSTED), reason=reason))
+            self.sink(Stopped(report.position, position_trusted=bool(report.flags & Flag.TRUSTED), reason=reason))
         elif activity == "segment":
-            self._sink(SegmentDone(report.position))
+            self.sink(SegmentDone(report.position))
         else:
             lost = report.steps_lost if activity == "touch" and report.flags & Flag.TOUCHED else None
             trusted = bool(report.flags & Flag.TRUSTED)
-            self._sink(Moved(report.position, trusted, zero_id=_zero_id(report), steps_lost=lost))
+            self.sink(Moved(report.position, trusted, zero_id=_zero_id(report), steps_lost=lost))
 
     def on_lost(self, detail: str) -> None:
         """The firmware holds by its lease; wait for it to come back."""
@@ -230,7 +293,7 @@ class UnoReports:
             segment = self._activity == "segment"
             position = self._report.position if self._report is not None else 0
         if segment:
-            self._sink(Held("link lost", position))
+            self.sink(Held("link lost", position))
 
     def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
         """The same one: go on. Restarted: it knows nothing any more, not even where it is."""
@@ -240,13 +303,13 @@ class UnoReports:
             running = self._activity == "segment" and self._granted >= 0
         if same_session:
             if running:
-                self._link.send(Cmd.GRANT, GrantBody(through).pack())
-            self._link.send(Cmd.STATUS, StatusBody(self._next_event).pack())
+                self._send(Cmd.GRANT, GrantBody(through).pack())
+            self._send(Cmd.STATUS, StatusBody(self._next_event).pack())
             return
         with self._lock:
             self._next_event = 0
-        self._link.send(Cmd.CONFIGURE, self._body.pack())
-        self._link.send(Cmd.STATUS, StatusBody(0).pack())
+        self._send(Cmd.CONFIGURE, self._configuration)
+        self._send(Cmd.STATUS, StatusBody(0).pack())
         self._give_up("F13", f"{reset_words(hello.reset_cause)}; home the stage, then resume")
 
     def _give_up(self, code: str, detail: str) -> None:
@@ -254,7 +317,7 @@ class UnoReports:
             activity, self._activity = self._activity, None
             position = self._report.position if self._report is not None else 0
         if activity is not None:
-            self._sink(Alarm(code, detail, position, position_trusted=False))
+            self.sink(Alarm(code, detail, position, position_trusted=False))
 
 
 def result_of(answer: Block) -> Result:

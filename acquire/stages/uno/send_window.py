@@ -1,4 +1,4 @@
-"""The host's half of exactly-once: which commands are on their way, which go again, which are answered. Pure."""
+"""The host's half of exactly-once delivery: a send window with go-back-N resends. Pure: time is an argument."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ QUEUE_MAX = 64
 
 @dataclass
 class Command:
-    """A command and the promise of its answer."""
+    """A command and the future of its answer."""
 
     kind: int
     body: bytes
@@ -87,7 +87,7 @@ class SendWindow:
         return blocks
 
     def _fits(self, command: Command) -> bool:
-        """Counted from the oldest unanswered one: the firmware remembers only so many results."""
+        """Counted from the oldest unanswered command, because the firmware remembers only RESULT_MEMORY results."""
         if not self._flying:
             return True
         in_flight = sum(len(flying.body) + 10 for flying in self._flying)
@@ -108,7 +108,7 @@ class SendWindow:
         elif block.kind == Msg.REPORT:
             expected = ReportBody.unpack(block.body).expected_sequence
             if (expected - block.sequence) & 0xFF not in range(1, WINDOW_MAX + 1):
-                return []  # one that nobody asked for
+                return []  # an unsolicited report
         self._complete(block, now_s)
         return []
 
@@ -128,7 +128,7 @@ class SendWindow:
                 return
 
     def reset(self) -> list[Command]:
-        """A new session begins: everything unanswered is handed back, sequence numbers start again."""
+        """Begin a new session: returns everything unanswered; sequence numbers start again at 0."""
         lost = [*self._flying, *self._waiting]
         self._flying.clear()
         self._waiting.clear()
@@ -138,7 +138,7 @@ class SendWindow:
 
 
 def _answers(reply: int, command: int) -> bool:
-    """A report that nobody asked for carries sequence 0, and must not pass for the answer to another command."""
+    """An unsolicited report has sequence 0 and must not count as the answer to another command."""
     if reply == Msg.REPORT:
         return command in (Cmd.STATUS, Cmd.EVENTS)
     return reply == Msg.ACK or (reply == Msg.DIAGNOSIS and command == Cmd.DIAGNOSE)

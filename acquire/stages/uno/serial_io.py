@@ -1,4 +1,4 @@
-"""The bytes of a serial line, never waited for: what does not fit into its buffer now is lost, and sent again."""
+"""Non-blocking bytes on the serial port. What does not fit into its buffer is dropped; the protocol sends it again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class LinkLostError(SweepscopeError):
 
 
 def write_now(port: serial.Serial, out: bytes) -> None:
-    """A pty or USB buffer takes some kilobytes: what does not fit now is lost to the line, and sent again."""
+    """Write what fits into the buffer of the pty or USB device (some kilobytes); the rest is dropped."""
     if out:
         with contextlib.suppress(BlockingIOError):
             os.write(port.fileno(), out)
@@ -26,7 +26,7 @@ def read_now(port: serial.Serial) -> bytes:
     """What has arrived.
 
     Raises:
-        LinkLostError: the line is gone.
+        LinkLostError: the device was removed.
     """
     try:
         data = os.read(port.fileno(), 4096)
@@ -38,7 +38,7 @@ def read_now(port: serial.Serial) -> bytes:
 
 
 def _is_there(port: serial.Serial) -> bool:
-    """An empty read means no data, or a line that is gone: asking for the count tells."""
+    """An empty read means no data or a removed device; asking for the number of waiting bytes tells which."""
     try:
         return port.in_waiting >= 0
     except OSError:
@@ -46,7 +46,7 @@ def _is_there(port: serial.Serial) -> bool:
 
 
 def wait_readable(timeout_s: float, *fds: int) -> None:
-    """Back when one of the descriptors has something to read, or after ``timeout_s``."""
+    """Return when a descriptor is readable, or after ``timeout_s``."""
     poller = select.poll()
     for fd in fds:
         poller.register(fd, select.POLLIN)

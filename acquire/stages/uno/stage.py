@@ -1,20 +1,28 @@
-"""The stage behind our firmware: turns calls into commands, and never guesses a position."""
+"""The stage behind our firmware: calls become commands; positions are those that the firmware reports."""
 
 from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 
+import msgspec
+import serial
+
+from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError
-from acquire.stages.protocol import Moved, Segment, StageInfo, StageSink
+from acquire.stages.protocol import Moved, Segment, StageInfo, StageSink, StageStatus
 from acquire.stages.uno.framing import Block
 
-from .config import segment_body
-from .reports import Activity, UnoReports, result_of
+from .config import config_body, segment_body
+from .link import Link, LinkTiming
+from .ports import choose_port, open_port
+from .reports import Activity, ReportFollower, result_of
 from .serial_io import LinkLostError
 from .texts import refusal
 from .wire_format import (
+    LINK_BAUD,
     RATE_MAX,
     RATE_MIN,
     RT_ESTOP,
@@ -26,9 +34,8 @@ from .wire_format import (
     DiagnosisBody,
     GrantBody,
     LampBody,
-    McuHold,
-    McuState,
     MoveBody,
+    ReportBody,
     Result,
     StatusBody,
     ZeroBody,
@@ -39,12 +46,27 @@ logger = logging.getLogger(__name__)
 _REST_S = 5.0
 
 
-class UnoStage(UnoReports):
+class UnoStage:
     """Stage on an Arduino Uno with our firmware, real or emulated.
 
     Calls wait for the firmware's acknowledgement (milliseconds), never for motion; do not call from the sink.
     ``keep_alive`` must be called while something moves: without it the link falls silent and the firmware holds.
     """
+
+    def __init__(
+        self,
+        config: StageConfig,
+        *,
+        opener: Callable[[], serial.Serial] | None = None,
+        timing: LinkTiming | None = None,
+    ) -> None:
+        """``opener`` opens the port, also again after the link was lost; by default that of ``config.port``."""
+        self._config = config
+        self._body = config_body(config)
+        self._follower = ReportFollower(config, self._body.pack(), self.send)
+        self._link = Link(
+            opener or (lambda: open_port(choose_port(config.port), LINK_BAUD)), self._follower, timing or LinkTiming()
+        )
 
     # ---- protocol ----
 
@@ -54,8 +76,8 @@ class UnoStage(UnoReports):
         Raises:
             SweepscopeError: no port, no answer, another firmware or version; one line says what to do.
         """
-        self._sink = sink
-        self._alive_s = time.monotonic()
+        self._follower.sink = sink
+        self._follower.keep_alive()
         hello = self._link.open()
         try:
             self._configure()
@@ -63,8 +85,7 @@ class UnoStage(UnoReports):
         except BaseException:
             self._link.close()
             raise
-        with self._lock:
-            self._next_event = self._need_report().triggers  # what was fired before is not ours
+        self._follower.ignore_past_triggers()
         return StageInfo(
             kind="uno",
             version=f"{hello.firmware_version // 100}.{hello.firmware_version % 100:02d}",
@@ -85,6 +106,15 @@ class UnoStage(UnoReports):
             except LinkLostError as error:
                 logger.warning("the stage was closed without an answer: %s", error)
         self._link.close()
+
+    def status(self) -> StageStatus:
+        """What the last report said."""
+        damaged = self._link.counters()["damaged"]
+        return msgspec.structs.replace(self._follower.status(), damaged_blocks=damaged)
+
+    def keep_alive(self) -> None:
+        """Renew the motion lease; call it from the host's main loop."""
+        self._follower.keep_alive()
 
     def move_to(self, position_steps: int, rate_steps_per_s: float = 0.0) -> None:
         """Start a move."""
@@ -110,7 +140,7 @@ class UnoStage(UnoReports):
             self._start("touch", Cmd.TOUCH)
             return
         status = self.status()
-        self._sink(Moved(status.position_steps, status.position_trusted, status.zero_id, steps_lost=None))
+        self._follower.sink(Moved(status.position_steps, status.position_trusted, status.zero_id, steps_lost=None))
 
     @property
     def _has_switch(self) -> bool:
@@ -120,44 +150,33 @@ class UnoStage(UnoReports):
         """Start a segment; the firmware runs it by itself as far as it is granted."""
         self._claim()
         try:
-            with self._lock:
-                first_id = self._need_report().triggers
-                self._segment_id = (self._segment_id + 1) & 0xFFFF
-                self._segment, self._first_id = segment, first_id
-                self._granted = may_trigger_through
-                body = segment_body(segment, self._segment_id, first_id)
+            segment_id, first_id = self._follower.prepare_segment(segment, may_trigger_through)
+            body = segment_body(segment, segment_id, first_id)
             if may_trigger_through >= 0:
                 self._link.send(Cmd.GRANT, GrantBody(first_id + may_trigger_through).pack())
             self._run("segment", Cmd.SEGMENT, body.pack())
         finally:
-            self._claimed = False
+            self._follower.release()
         return first_id
 
     def grant(self, may_trigger_through: int) -> None:
         """Raise the absolute credit of the running segment."""
-        with self._lock:
-            self._granted = max(self._granted, may_trigger_through)
-            through = self._first_id + self._granted
-        self._link.send(Cmd.GRANT, GrantBody(through).pack())
+        self._link.send(Cmd.GRANT, GrantBody(self._follower.raise_credit(may_trigger_through)).pack())
 
     def hold(self) -> None:
-        """Hold: by a realtime byte, and by a command in case noise ate it."""
-        with self._lock:
-            if self._activity != "segment":
-                return
-            self._hold_wanted = True
-        self._link.realtime(bytes((RT_HOLD,)))
-        self._link.send(Cmd.HOLD)
+        """Hold: by a realtime byte, and by a command in case noise destroys it."""
+        if self._follower.want_hold(hold=True):
+            self._link.realtime(bytes((RT_HOLD,)))
+            self._link.send(Cmd.HOLD)
 
     def resume(self) -> None:
-        """Go on after a hold."""
-        with self._lock:
-            self._hold_wanted = False
+        """Continue after a hold."""
+        self._follower.want_hold(hold=False)
         self._link.send(Cmd.RESUME)
 
     def stop(self) -> None:
         """Decelerate and end."""
-        if self._activity is not None or self._claimed:
+        if self._follower.active:
             self._link.realtime(bytes((RT_STOP, RT_STOP_CONFIRM)))
         self._link.send(Cmd.STOP)
 
@@ -166,7 +185,7 @@ class UnoStage(UnoReports):
         self._link.realtime(bytes((RT_ESTOP, RT_ESTOP_CONFIRM)))
 
     def set_lamp(self, *, on: bool) -> None:
-        """Switch the lamp; back when the firmware has done it, so that the next picture is taken by its light."""
+        """Switch the lamp and wait until the firmware has done it, so that the next frame is taken in its light."""
         if result_of(self._link.ask(Cmd.LAMP, LampBody(int(on)).pack())) == Result.ALARM:
             raise CommandRefusedError("the lamp stays off: an alarm stands; release its cause, then home the stage")
 
@@ -176,7 +195,25 @@ class UnoStage(UnoReports):
         """The firmware's own counters."""
         return DiagnosisBody.unpack(self._link.ask(Cmd.DIAGNOSE).body)
 
-    # ---- starting something ----
+    def send(self, kind: Cmd, body: bytes = b"") -> Future[Block]:
+        """Queue any command; the future holds the firmware's answer."""
+        return self._link.send(kind, body)
+
+    @property
+    def report(self) -> ReportBody:
+        """The firmware's last report."""
+        return self._follower.report
+
+    @property
+    def strobes(self) -> int:
+        """Strobes that the firmware has seen since its start."""
+        return self._follower.strobes
+
+    def counters(self) -> dict[str, int]:
+        """Counters of the link, and strobes that the firmware has seen since its start."""
+        return {**self._link.counters(), "strobes": self.strobes}
+
+    # ---- starting an activity ----
 
     def _configure(self) -> None:
         """A sweep that outlived its host is stopped first: its credit and its frames belonged to another process."""
@@ -189,27 +226,17 @@ class UnoStage(UnoReports):
             self._link.ask(Cmd.STOP)
 
     def _claim(self) -> None:
-        with self._lock:
-            if self._activity is not None or self._claimed:
-                raise CommandRefusedError("the stage is moving: wait for it, or stop it")
-            if self._lost_since_s is not None:
-                raise CommandRefusedError("the stage's controller is not connected: plug it in")
-            alarm = self._need_report().state == McuState.ALARM
-            self._claimed = True
-            self._hold_wanted = False
-            self._held_for = McuHold.NONE
-        if alarm:
-            self._clear_alarm()
+        if self._follower.claim():
+            try:
+                self._clear_alarm()
+            except BaseException:
+                self._follower.release()
+                raise
 
     def _clear_alarm(self) -> None:
-        try:
-            result = result_of(self._link.ask(Cmd.CLEAR))
-            self._link.ask(Cmd.STATUS, StatusBody(self._next_event).pack())
-        except BaseException:
-            self._claimed = False
-            raise
+        result = result_of(self._link.ask(Cmd.CLEAR))
+        self._link.ask(Cmd.STATUS, StatusBody(self._follower.next_event).pack())
         if result != Result.OK:
-            self._claimed = False
             raise CommandRefusedError("the emergency stop is pressed: release it, then home the stage")
 
     def _start(self, activity: Activity, kind: Cmd, body: bytes = b"") -> None:
@@ -217,11 +244,11 @@ class UnoStage(UnoReports):
         try:
             self._run(activity, kind, body)
         finally:
-            self._claimed = False
+            self._follower.release()
 
     def _run(self, activity: Activity, kind: Cmd, body: bytes) -> None:
-        """The activity begins in the link's thread with the acknowledgement: every later report speaks of it."""
-        self._alive_s = time.monotonic()
+        """The activity begins with the acknowledgement, in the link's thread: every later report is about it."""
+        self._follower.keep_alive()
         answer = self._link.send(kind, body)
         answer.add_done_callback(lambda done: self._on_started(activity, done))
         try:
@@ -233,6 +260,4 @@ class UnoStage(UnoReports):
 
     def _on_started(self, activity: Activity, done: Future[Block]) -> None:
         if done.exception() is None and result_of(done.result()) == Result.OK:
-            with self._lock:
-                self._activity = activity
-                self._polled_s = 0.0
+            self._follower.started(activity)

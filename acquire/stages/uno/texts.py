@@ -1,4 +1,4 @@
-"""What the firmware's codes mean to people: alarms, refusals, causes of a restart."""
+"""Texts for the operator: alarms, refusals and causes of a restart, by the firmware's codes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def alarm_event(alarm: McuAlarm, position_steps: int) -> Alarm:
 def reset_words(cause: int) -> str:
     """Why the controller has restarted."""
     for flag, words in (
-        (Reset.WATCHDOG, "its watchdog bit"),
+        (Reset.WATCHDOG, "its watchdog timer expired"),
         (Reset.BROWN_OUT, "its supply voltage dipped"),
         (Reset.POWER, "its power was switched"),
         (Reset.EXTERNAL, "its reset line was pulled"),

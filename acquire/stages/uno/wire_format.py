@@ -1,8 +1,7 @@
-"""What firmware and host agree on: the numbers and bodies of firmware/protocol.h, once more in Python.
+"""Numbers and message bodies of the serial protocol: firmware/protocol.h in Python.
 
 A test compares every number and structure with the header; ``WIRE_CRC`` is the checksum of its declarations, which the
-firmware repeats in its handshake, so that a driver never talks to a firmware of another shape. Both are as long as the
-protocol is.
+firmware repeats in its handshake, so that a driver never talks to a firmware with other declarations.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-/* link - the serial conversation: sound blocks become commands, each run once; answers and reports go out. */
+/* link - the serial protocol: valid blocks become commands, each carried out once; answers and reports are sent. */
 #ifndef LINK_H
 #define LINK_H
 #include <stdint.h>

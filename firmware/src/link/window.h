@@ -15,7 +15,7 @@ struct window {
 
 enum window_verdict { WINDOW_RUN, WINDOW_REPEAT, WINDOW_GAP, WINDOW_NO_SESSION };
 
-/* What to do with a sound block of this sequence number. */
+/* What to do with a valid block of this sequence number. */
 enum window_verdict window_judge(struct window *w, uint8_t sequence);
 
 /* The expected block has run with this result. */
