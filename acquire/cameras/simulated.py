@@ -24,7 +24,8 @@ _LIMITS = {"exposure_ms": (0.01, 75.0), "gain": (0.0, 20.0), "brightness_percent
 class SimulatedCamera:
     """Renders the scene in a thread of its own. The lamp and the stage are asked at the moment of exposure."""
 
-    def __init__(self, config: RigConfig) -> None:
+    def __init__(self, config: RigConfig, position_steps: Callable[[], float] = lambda: 0.0) -> None:
+        """``position_steps`` tells where the projector stands, in microsteps, when a software trigger comes."""
         camera, simulation = config.camera, config.simulation
         self._config = config
         self._format = FrameFormat(
@@ -42,8 +43,7 @@ class SimulatedCamera:
         self._taken: Counter[int] = Counter()
         self._lamp = (False, 0, False)
         """On or off now, since when (CLOCK_MONOTONIC, ns), and what it was before."""
-        self.where: Callable[[], float] = lambda: 0.0
-        """Says where the projector stands, in microsteps, when a software trigger comes."""
+        self._position_steps = position_steps
         self.lost_exposures = 0
         self.scene: Scene | None = None
         self._faults = ScriptedFaults(parse_script(simulation.faults))
@@ -116,7 +116,7 @@ class SimulatedCamera:
 
     def snap(self) -> None:
         """One exposure now."""
-        self._expose(self.where(), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        self._expose(self._position_steps(), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
 
     def on_trigger(self, position_steps: float, at_ns: int, travel_steps: float = 0.0, camera_ns: int = 0) -> None:
         """The trigger line: the stage is at ``position_steps`` at mid-exposure, and travels on during the exposure."""

@@ -1,15 +1,15 @@
-"""Acquire/rigs/base.py."""
+"""A rig: one stage and one camera, what they are, and how the camera is set."""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from acquire.cameras.protocol import Camera, HostFiredCamera
+from acquire.cameras.protocol import Camera, CameraFrame, CameraGone, CameraInfo, CameraSettings, HostFiredCamera
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.plan import SweepPlan
@@ -18,13 +18,39 @@ from acquire.stages.protocol import Stage, StageEvent, StageInfo, StageSink, Tri
 HOST_TRIGGER = "host"
 """``camera.trigger`` of a camera that runs freely."""
 
+DeviceEvent = StageEvent | CameraFrame | CameraGone
 
-@dataclass
+
 class Rig:
     """The devices of one daemon."""
 
-    stage: Stage
-    camera: Camera
+    camera_info: CameraInfo
+    """Known once the rig is open, as are the next two."""
+    camera_settings: CameraSettings
+    """As the camera uses them."""
+    stage_info: StageInfo
+
+    def __init__(self, stage: Stage, camera: Camera) -> None:
+        self.stage, self.camera = stage, camera
+
+    def open(self, sink: Callable[[DeviceEvent], None], settings: CameraSettings) -> None:
+        """Connect and configure the camera, then connect the stage; ``sink`` is called from their threads.
+
+        Raises:
+            SweepscopeError: a device that is not there, or refuses.
+        """
+        self.camera_info = self.camera.open(sink)
+        self.configure_camera(settings)
+        self.stage_info = self.open_stage(sink)
+
+    def open_stage(self, sink: StageSink) -> StageInfo:
+        """Connect the stage; its events go to ``sink``."""
+        return self.stage.open(sink)
+
+    def configure_camera(self, settings: CameraSettings) -> CameraSettings:
+        """Set the camera; returns what it uses (limits, rounding)."""
+        self.camera_settings = self.camera.configure(settings)
+        return self.camera_settings
 
     def own_calibration(self, plan: SweepPlan) -> str:
         """The calibration that the rig knows by itself (JSON); empty for a real one."""
@@ -33,10 +59,6 @@ class Rig:
     def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread | None:
         """Write what is really there beside the scan, in a thread; None for a real rig."""
         return None
-
-    def open_stage(self, sink: StageSink) -> StageInfo:
-        """Connect the stage; its events go to ``sink``."""
-        return self.stage.open(sink)
 
     def set_lamp(self, *, on: bool) -> None:
         """Switch the lamp."""
@@ -55,11 +77,12 @@ class Rig:
         raise NotImplementedError
 
 
-@dataclass
 class HostFiredRig(Rig):
     """A camera without a trigger input: the host passes each shot on to it, so the stage must stand still."""
 
-    camera: HostFiredCamera
+    def __init__(self, stage: Stage, camera: HostFiredCamera) -> None:
+        super().__init__(stage, camera)
+        self._fire = camera.fire
 
     def open_stage(self, sink: StageSink) -> StageInfo:
         """Connect the stage; each trigger that it reports goes to the camera as well."""
@@ -67,6 +90,6 @@ class HostFiredRig(Rig):
         def tell(event: StageEvent) -> None:
             sink(event)
             if isinstance(event, Triggered):
-                self.camera.fire(event.at_mono_ns, event.position_steps)
+                self._fire(event.at_mono_ns, event.position_steps)
 
         return msgspec.structs.replace(self.stage.open(tell), modes=("step",))

@@ -1,4 +1,8 @@
-"""Puts a rig together from its configuration: stage, camera, and what the simulated one knows about itself."""
+"""Builds the rig that the configuration names.
+
+Drivers are imported when they are chosen: a real rig needs neither numba nor the AVR tools, a simulated one no camera
+maker's libraries.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,6 @@ from acquire.cameras.protocol import HostFiredCamera
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
 from acquire.rigs.base import HOST_TRIGGER, HostFiredRig, Rig
-from acquire.rigs.simulated import SimulatedRig
 from acquire.stages.protocol import Stage
 
 
@@ -21,9 +24,11 @@ def build_rig(config: RigConfig) -> Rig:
     """
     stage, camera = config.stage, config.camera
     if camera.kind == "simulated" and stage.kind == "simulated":
+        from .simulated import SimulatedRig  # noqa: PLC0415
+
         return SimulatedRig(config)
     if camera.kind == "simulated" and stage.kind == "uno" and stage.port == "emulator":
-        from .twin import TwinRig  # noqa: PLC0415 - it needs the AVR tools
+        from .twin import TwinRig  # noqa: PLC0415
 
         return TwinRig(config)
     if camera.kind == "simulated":
@@ -39,7 +44,7 @@ def build_rig(config: RigConfig) -> Rig:
 
 def _stage(config: RigConfig) -> Stage:
     if config.stage.kind == "uno":
-        from acquire.stages.uno.stage import UnoStage  # noqa: PLC0415 - only the chosen driver is loaded
+        from acquire.stages.uno.stage import UnoStage  # noqa: PLC0415
 
         return UnoStage(config.stage)
     if config.stage.kind == "legacy":

@@ -1,37 +1,37 @@
-"""Acquire/rigs/simulated.py."""
+"""The simulated rig: a camera that renders what lies where the stage stands."""
 
 from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from acquire.cameras.simulated import SimulatedCamera
 from acquire.contract.config.model import RigConfig
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.plan import SweepPlan
 from acquire.contract.scan_data.dataset_names import TRUTH_NAME
-from acquire.rigs.base import Rig
+from acquire.simulation import ideal_calibration, truth, write_truth
+from acquire.stages.protocol import Stage
+from acquire.stages.simulated import SimulatedStage
+
+from .base import Rig
 
 
-class SimulatedRig(Rig):
-    """The simulated camera under the simulated (or a twin's) stage."""
+class RenderedRig(Rig):
+    """The simulated camera over any stage that knows its position."""
 
-    def __init__(self, config: RigConfig) -> None:
-        from acquire.cameras.simulated import SimulatedCamera  # noqa: PLC0415 - numba is only needed here
-        from acquire.stages.simulated import SimulatedStage  # noqa: PLC0415
-
-        self._camera = SimulatedCamera(config)
-        stage = SimulatedStage(config.stage, self._camera.on_trigger, time_scale=config.simulation.time_scale)
-        super().__init__(stage, self._camera)
-        self._camera.where = lambda: stage.status().position_steps
+    def __init__(self, config: RigConfig, make_stage: Callable[[SimulatedCamera], Stage]) -> None:
+        """``make_stage`` is given the camera, which the stage's triggers expose."""
+        self._camera = SimulatedCamera(config, lambda: self.stage.status().position_steps)
+        super().__init__(make_stage(self._camera), self._camera)
 
     def own_calibration(self, plan: SweepPlan) -> str:
         """The exact calibration of the simulated optics."""
-        from acquire.simulation import ideal_calibration  # noqa: PLC0415
-
         assert self._camera.scene is not None
         found = ideal_calibration(
             self._camera.scene,
@@ -49,16 +49,9 @@ class SimulatedRig(Rig):
         return thread
 
     def _write_truth(self, folder: Path, plan: SweepPlan) -> None:
-        from acquire.simulation import truth, write_truth  # noqa: PLC0415
-
         assert self._camera.scene is not None
         found = truth(self._camera.scene, plan.first_steps, plan.pitch_steps, plan.count)
         write_truth(folder / TRUTH_NAME, found)
-
-    def set_lamp(self, *, on: bool) -> None:
-        """Switch the lamp; the camera sees it."""
-        super().set_lamp(on=on)
-        self._camera.lamp_on = on
 
     def specimen(self, changes: dict[str, Any]) -> SimulationConfig:
         """The simulation as it is, with ``changes``."""
@@ -69,3 +62,18 @@ class SimulatedRig(Rig):
         self._camera.show(simulation)
         tilts = f"tilted by {simulation.tilt_x_deg:g} and {simulation.tilt_y_deg:g} degrees"
         return f"{simulation.object}, {tilts}, turned by {simulation.yaw_deg:g}"
+
+
+class SimulatedRig(RenderedRig):
+    """The simulated camera over the simulated stage."""
+
+    def __init__(self, config: RigConfig) -> None:
+        def stage(camera: SimulatedCamera) -> Stage:
+            return SimulatedStage(config.stage, camera.on_trigger, time_scale=config.simulation.time_scale)
+
+        super().__init__(config, stage)
+
+    def set_lamp(self, *, on: bool) -> None:
+        """Switch the lamp; the camera sees it."""
+        super().set_lamp(on=on)
+        self._camera.lamp_on = on

@@ -27,8 +27,7 @@ from acquire.stages.uno.emulator import Emulator, TriggerEdge, build_firmware
 from acquire.stages.uno.stage import UnoStage
 from acquire.stages.uno.wire_format import LEASE_MAX_MS
 
-from .base import Rig
-from .simulated import SimulatedRig
+from .simulated import RenderedRig
 
 logger = logging.getLogger(__name__)
 
@@ -168,25 +167,17 @@ class TwinStage(UnoStage):
         self._emulator.close()
 
 
-class TwinRig(SimulatedRig):
-    """The simulated camera over the emulated stage."""
+class TwinRig(RenderedRig):
+    """The simulated camera over the emulated stage, whose pins switch the lamp and record each trigger."""
+
+    stage: TwinStage
 
     def __init__(self, config: RigConfig) -> None:
-        self._camera = SimulatedCamera(config)
-        self._twin = TwinStage(config.stage, _pace(config.simulation.time_scale), self._camera)
-        Rig.__init__(self, self._twin, self._camera)
-        self._camera.where = lambda: self._twin.status().position_steps
+        # real time at a time scale of 1, else as fast as the durations are scaled, as far as the emulator can
+        pace = 1.0 / config.simulation.time_scale
+        super().__init__(config, lambda camera: TwinStage(config.stage, pace, camera))
 
     def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread:
         """The truth, and from now on the record of the pins."""
-        self._twin.pairs.record_to(folder / PINS_NAME)
+        self.stage.pairs.record_to(folder / PINS_NAME)
         return super().write_truth(folder, plan)
-
-    def set_lamp(self, *, on: bool) -> None:
-        """Switch the lamp; the camera sees its pin."""
-        self._twin.set_lamp(on=on)
-
-
-def _pace(time_scale: float) -> float:
-    """Speed of the emulated processor: real time at 1, else as the durations are scaled, as far as it can."""
-    return 1.0 / time_scale

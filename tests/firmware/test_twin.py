@@ -93,24 +93,24 @@ def test_the_twin_takes_the_same_pictures_as_the_simulation(twin, pure):
 
 
 def test_the_pins_agree_with_what_is_counted_at_every_frame(twin, tmp_path):
-    twin.rig._twin.pairs.record_to(tmp_path / "pins")
+    twin.rig.stage.pairs.record_to(tmp_path / "pins")
     shots, _ = twin.take(SEGMENT)
     pairs = [json.loads(line) for line in (tmp_path / "pins").read_text().splitlines()]
     assert [pair["true_steps"] for pair in pairs] == [shot.position_steps for shot in shots]
     assert all(pair["true_steps"] == pair["counted_steps"] for pair in pairs)
     offsets = [pair["true_cycles"] - pair["counted_cycles"] for pair in pairs]
     assert max(offsets) - min(offsets) <= 16  # one clock, one offset; edges are seen between two instructions
-    assert twin.rig._twin.pairs.differences == 0
+    assert twin.rig.stage.pairs.differences == 0
 
 
 def test_a_stage_that_slips_shows_in_the_pictures_and_in_the_record(twin):
-    twin.rig._twin._emulator.knob("slip 9")
+    twin.rig.stage._emulator.knob("slip 9")
     twin.take(SEGMENT)
-    assert twin.rig._twin.pairs.differences == SEGMENT.count
+    assert twin.rig.stage.pairs.differences == SEGMENT.count
 
 
 def test_an_edge_that_is_lost_exposes_nothing(twin):
-    twin.rig._twin._emulator.knob("drop 3")
+    twin.rig.stage._emulator.knob("drop 3")
     shots, frames = twin.take(SEGMENT, lost=1)
     assert len(shots) == SEGMENT.count and len(frames) == SEGMENT.count - 1
     assert twin.frames.empty()
