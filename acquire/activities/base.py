@@ -1,4 +1,4 @@
-"""What one activity beside no sweep looks like to the interlude that runs it: an exposure search, a pre-scan, a jog."""
+"""What one activity (an exposure search, a pre-scan, a held jog) looks like to the runner."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ Rest = Moved | Stopped | SegmentDone
 
 
 class Activity:
-    """One thing that the rig does by itself; a device's ``SweepscopeError`` ends it, in that error's words."""
+    """One thing that the rig does by itself while no scan runs.
+
+    A device's ``SweepscopeError`` ends it; its text is shown as the reason.
+    """
 
     name: ClassVar[str] = ""
-    """As it stands in the status."""
+    """As the status message names it."""
     moves: ClassVar[bool] = False
     """The rig is MOVING while it runs; else it is in PREVIEW."""
     snaps: ClassVar[bool] = False
-    """It takes pictures of its own: those of the preview rest meanwhile."""
+    """It takes pictures of its own; the preview takes none meanwhile."""
 
     def __init__(self) -> None:
         self.share = 0.0
-        """How far it is, 0..1."""
+        """Progress, 0..1."""
         self.ended = ""
-        """How it ended, in words; empty while it runs."""
+        """How it ended; empty while it runs."""
         self.failed = False
 
     def end(self, words: str, *, failed: bool = False) -> None:
@@ -33,13 +36,13 @@ class Activity:
         self.ended, self.failed = words, failed
 
     def begin(self, now_ns: int) -> None:
-        """Do the first thing."""
+        """Start."""
 
     def on_rest(self, event: Rest, now_ns: int) -> None:
         """The stage rests."""
 
     def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
-        """The picture came that was asked for."""
+        """The picture that was asked for has come."""
 
     def on_no_frame(self, now_ns: int) -> None:
         """The picture that was asked for did not come in time."""
@@ -49,4 +52,4 @@ class Activity:
         """Time has passed."""
 
     def cancel(self) -> None:
-        """It was stopped: put back what must not stay changed. The stage is stopped by whoever cancels."""
+        """It was stopped: undo what must not stay changed. The caller stops the stage."""

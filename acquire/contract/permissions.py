@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+from .errors import CommandRefusedError
 from .messaging.messages import Status
 from .states import RUNNING_STATES, HoldReason, State
 
@@ -113,6 +114,17 @@ def _wrong_state(row: Permission, state: str) -> str:
     if state == State.DISCONNECTED:
         return "the stage or the camera is not connected"
     return f"the rig is {state}; wait, or stop it"
+
+
+def check_permission(command: str, status: Status) -> None:
+    """Refuse ``command`` where the table does.
+
+    Raises:
+        CommandRefusedError: says why.
+    """
+    reason = refusal(command, status)
+    if reason:
+        raise CommandRefusedError(f"cannot {PERMISSIONS[command].purpose}: {reason}")
 
 
 def why_not_offered(command: str, status: Status) -> str:

@@ -4,39 +4,39 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from typing import Any
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
 
 
-class Inbox:
+class EventQueue(Generic[T]):
     """A queue with a file descriptor that a poller can watch. Any thread puts, one thread takes.
 
-    It needs no bound of its own: at most one activity of the stage and one exposure per credit are under way.
+    It needs no bound: the stage does one thing at a time, and the camera takes one exposure per credit.
     """
 
     def __init__(self) -> None:
-        self._events: deque[Any] = deque()
+        self._events: deque[T] = deque()
         self._fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
 
     def fileno(self) -> int:
-        """Readable while there is something."""
+        """Readable while there are events."""
         return self._fd
 
-    def put(self, event: Any) -> None:
+    def put(self, event: T) -> None:
         """Add an event and wake the loop."""
         self._events.append(event)
         os.eventfd_write(self._fd, 1)
 
-    def take_all(self) -> list[Any]:
-        """Everything that has come, in order."""
+    def take_all(self) -> list[T]:
+        """All events, in order."""
         try:
             os.eventfd_read(self._fd)
         except BlockingIOError:
             return []
-        events = []
-        while self._events:
-            events.append(self._events.popleft())
-        return events
+        # bounded by what is there now, so that a thread that keeps putting cannot hold the loop
+        return [self._events.popleft() for _ in range(len(self._events))]
 
     def close(self) -> None:
-        """Give the descriptor back; no thread may put any more."""
+        """Close the descriptor; no thread may put any more."""
         os.close(self._fd)

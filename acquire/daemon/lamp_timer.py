@@ -1,4 +1,4 @@
-"""How long the lamp still needs until its light is steady. Pure: fed with what the stage says of the lamp."""
+"""Time until the light of the lamp is steady. Pure."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from acquire.contract.units import NS_PER_S
 
 @dataclass
 class LampTimer:
-    """Counts from the moment when the lamp was first seen on."""
+    """Counts from the first update with the lamp on."""
 
     warm_up_s: float
-    """By the clock on the wall, in s."""
+    """Warm-up time in s."""
     _on_since_ns: int | None = None
 
     def update(self, now_ns: int, *, on: bool) -> float:

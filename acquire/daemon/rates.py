@@ -1,4 +1,4 @@
-"""How fast a count grows, over the last few seconds."""
+"""Growth of a count per second, over the last few seconds."""
 
 from __future__ import annotations
 

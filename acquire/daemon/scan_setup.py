@@ -25,10 +25,11 @@ from acquire.contract.process.clocks import epoch_utc_ns, utc_now_iso, utc_stamp
 from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import CHECK_ROLES, OWNER_LOCK_NAME
 from acquire.contract.units import format_bytes, format_duration, ns_from_ms
-from acquire.daemon.commands.requests import ScanRequest
 from acquire.rigs.base import Rig
 from acquire.sweep.credit_window import slots_for
 from acquire.sweep.settings import SweepSettings
+
+from .requests import ScanRequest
 
 _LONGEST_FINAL_MOVE_MS = 10_000.0
 LONGEST_EXPOSURE_SHARE = 0.9
@@ -278,5 +279,5 @@ def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
         repeat_first=rig.sweep.repeat_first,
         check_limit=rig.sweep.check_limit,
         needs_proof=rig.stage.kind == "uno",
-        time_scale=rig.simulation.time_scale if rig.stage.kind == "simulated" else 1.0,
+        time_scale=rig.time_scale,
     )

@@ -1,6 +1,7 @@
-"""The rig daemon: owns stage, camera and lamp, runs one sweep at a time, and never loses a frame that it has seen.
+"""The rig daemon: drives stage, camera and lamp, runs one scan at a time, and loses no frame that it has received.
 
-One loop in one thread takes what devices, writer and clients say and lets the pure sweep decide.
+One loop in one thread takes the events of devices, writer and clients. What a running scan does about them is decided
+by the pure state machine in ``acquire.sweep``.
 """
 
 from __future__ import annotations
@@ -13,105 +14,115 @@ from typing import Any
 
 import zmq
 
-from acquire.activities.runner import Interlude
-from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
+from acquire.activities.preview_publisher import PreviewPublisher
+from acquire.activities.runner import ActivityRunner
+from acquire.cameras.protocol import CameraGone, CameraSettings
 from acquire.contract.config.load import LoadedConfig
-from acquire.contract.faults import in_one_line, report
+from acquire.contract.faults import report
 from acquire.contract.messaging.lanes import Sender, bind
-from acquire.contract.messaging.messages import Command, FaultReport, Status
+from acquire.contract.messaging.messages import Status
 from acquire.contract.process.clocks import Clock, MonotonicClock, epoch_utc_ns
 from acquire.contract.process.log_throttle import Threshold
-from acquire.contract.process.logs import follow_scan
 from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
-from acquire.contract.states import HoldReason, Outcome, State, outcome_words, transition
+from acquire.contract.states import State
 from acquire.contract.units import NS_PER_S
-from acquire.daemon.commands.command_server import CommandLane
-from acquire.daemon.commands.control import Control
-from acquire.daemon.commands.scan_commands import Desk
-from acquire.rigs.base import Rig
+from acquire.rigs.base import DeviceEvent, Rig
 from acquire.rigs.build import build_rig
-from acquire.stages.protocol import StageEvent
-from acquire.sweep.events import StopRequested, Tick
+from acquire.rigs.status_board import StatusBoard
 
-from .clock_watch import TimeWatch
-from .event_queue import Inbox
+from .clock_watch import ClockWatch
+from .commands.activity_commands import ActivityCommands
+from .commands.command_server import CommandServer
+from .commands.control import Control
+from .commands.device_commands import DeviceCommands
+from .commands.scan_commands import ScanCommands
+from .commands.service_commands import ServiceCommands
+from .commands.table import CommandDispatcher, command_table
+from .event_queue import EventQueue
 from .frame_sender import FrameSender
-from .preview_publisher import PreviewLane
-from .scan_runner import RunningScan
-from .scan_setup import PreparedScan
-from .status import Board
+from .lamp_timer import LampTimer
+from .scan_supervisor import ScanSupervisor
+from .status import status_message
 
 logger = logging.getLogger(__name__)
 POLL_MS = 10
+EARLY_STATUS_NS = NS_PER_S // 25
+"""After a change the status is published at once, but not more often than this."""
 LEAST_NOISE_BLOCKS = 10
-"""So many damaged blocks on the stage's line are told of; a few come with plugging in."""
+"""Damaged blocks on the stage's serial line that are reported; a few come with plugging in."""
 
 
 class Daemon:
-    """The loop and what it holds."""
+    """The loop, and the parts that it hands events to."""
 
     def __init__(self, config: LoadedConfig, run_dir: Path, rig: Rig, clock: Clock | None = None) -> None:
         self.config, self.rig = config, rig
         self.clock = clock or MonotonicClock()
-        self.board = Board(config)
-        self.scan: RunningScan | None = None
-        self.ending = False
-        self._notifier = Notifier()
-        self._inbox = Inbox()
-        self._context: zmq.Context[Any] = zmq.Context()
-        self.lane = FrameSender(bind(self._context, zmq.ROUTER, run_dir, "frames"))
-        self.live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
-        self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
-        self.preview = PreviewLane(bind(self._context, zmq.XPUB, run_dir, "preview"))
+        self.board = StatusBoard(self.clock)
         self._run_dir = run_dir
-        self.interlude = Interlude(self)
-        self.control = Control()
-        self.camera_away = ""
-        """Why the camera is gone; empty while it is there."""
-        self._desk = Desk(self)
-        self._status_due_ns = 0
-        self._changed = True
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._events: EventQueue[DeviceEvent] = EventQueue()
+        self._frames = FrameSender(bind(self._context, zmq.ROUTER, run_dir, "frames"))
+        live = Sender(bind(self._context, zmq.PUB, run_dir, "live"))
+        self._status = Sender(bind(self._context, zmq.PUB, run_dir, "status"))
+        self.preview = PreviewPublisher(bind(self._context, zmq.XPUB, run_dir, "preview"))
+        self.runner = ActivityRunner(rig, config.rig, self.board, self.preview)
+        self.scans = ScanSupervisor(rig, config.rig.limits, self._frames, live, self.board, self.runner, self.preview)
+        self._control = Control()
+        self._lamp = LampTimer(config.rig.lamp.warm_up_s * config.rig.time_scale)
+        self.commands = self._dispatcher()
+        self._notifier = Notifier()
+        self._clock_watch = ClockWatch()
         self._unreadable, self._noisy = Threshold(1), Threshold(LEAST_NOISE_BLOCKS)
-        self._writer_lost = self._disk_slow = False
-        self._status_next_ns = 0
-        self._time = TimeWatch()
+        self._status_due_ns = self._early_status_ns = 0
+        self._ending = False
+
+    def _dispatcher(self) -> CommandDispatcher:
+        rig, config, status = self.rig, self.config, self.current_status
+        table = command_table(
+            ScanCommands(rig, config, self.scans, self.runner),
+            DeviceCommands(rig, config.rig.stage, self.runner),
+            ActivityCommands(rig, config, self.runner, self._lamp, status),
+            ServiceCommands(self._control, self.board, status, self.request_end),
+        )
+        return CommandDispatcher(table, self._control, status)
 
     # ---- life ----
 
     def open(self) -> None:
         """Connect the devices."""
         camera = self.config.rig.camera
-        self.camera_info = self.rig.camera.open(self._inbox.put)
-        self.settings = self.rig.camera.configure(
-            CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent)
-        )
-        self.stage_info = self.rig.open_stage(self._inbox.put)
-        # who finds this lane finds a rig that answers: nothing said to it waits for devices to open
+        self.rig.open(self._events.put, CameraSettings(camera.exposure_ms, camera.gain, camera.brightness_percent))
+        # bound last: a client that finds the command lane finds a rig that answers at once
         socket = bind(self._context, zmq.ROUTER, self._run_dir, "command")
-        self._commands = CommandLane(socket, self.clock, self.config.rig.limits.command_s, self._do)
-        self.enter(State.IDLE)
-        self.say(f"ready: {self.stage_info.kind} stage, {self.camera_info.kind} camera")
+        self._server = CommandServer(socket, self.clock, self.config.rig.limits.command_s, self.commands.serve)
+        self.board.enter(State.IDLE)
+        self.board.say(f"ready: {self.rig.stage_info.kind} stage, {self.rig.camera_info.kind} camera")
+
+    def request_end(self) -> None:
+        """End after this turn of the loop; a signal handler may call it."""
+        self._ending = True
 
     def run(self) -> None:
-        """Serve until told to end, then bring the running sweep to its end within the stop time-out."""
+        """Serve until told to end, then bring the running scan to its end within the stop time-out."""
         poller = zmq.Poller()
-        for source in (self.lane.socket, self._commands.socket, self._inbox.fileno()):
+        for source in (self._frames.socket, self._server.socket, self._events.fileno()):
             poller.register(source, zmq.POLLIN)
         deadline_ns: int | None = None
         self._notifier.ready(self.board.message)
         while True:
             poller.poll(POLL_MS)
-            self._turn()
+            self.turn()
             self._notifier.alive()
-            if not self.ending:
+            if not self._ending:
                 continue
             now_ns = self.clock.now_ns()
             if deadline_ns is None:
                 deadline_ns = now_ns + round(self.config.rig.limits.stop_s * NS_PER_S)
                 self._notifier.stopping()
-                self._interrupt(now_ns)
-            if self.scan is None or now_ns > deadline_ns:
+                self.scans.interrupt(now_ns)
+            if self.scans.running is None or now_ns > deadline_ns:
                 break
 
     def close(self) -> None:
@@ -119,12 +130,12 @@ class Daemon:
         steps: tuple[Callable[[], object], ...] = (
             self.rig.stage.stop,
             self.rig.camera.disarm,
-            lambda: self.scan.close() if self.scan is not None else None,
+            self.scans.close,
             self.rig.stage.close,
             self.rig.camera.close,
             self._publish_last,
             lambda: self._context.destroy(linger=200),
-            self._inbox.close,
+            self._events.close,
         )
         for step in steps:
             try:
@@ -132,170 +143,93 @@ class Daemon:
             except Exception:  # noqa: BLE001 - the outermost end: one failing step must not keep the next from running
                 logger.exception("a step of the cleanup failed")
 
-    # ---- what clients may use ----
-
-    def say(self, text: str) -> None:
-        """Put a line on the status board and into the log."""
-        logger.info(text)
-        self.board.message = text
-        self._changed = True
-
-    def fault(self, fault: FaultReport) -> None:
-        """Show a fault until the operator has seen it."""
-        if not self.board.shows(fault):
-            # a disk that fails says so for each frame that waits
-            logger.error(in_one_line(fault))
-        self.board.add_fault(fault, self.clock.now_ns())
-        self.board.message = in_one_line(fault)
-        self._changed = True
-
-    def enter(self, state: State) -> None:
-        """Change the rig's state by the table."""
-        if state != self.board.state:
-            self.board.state = transition(self.board.state, state)
-            self._changed = True
-
-    def begin_scan(self, prepared: PreparedScan) -> None:
-        """Start a scan that was checked."""
-        now_ns = self.clock.now_ns()
-        self.board.scan_started(now_ns)
-        self._disk_slow = False
-        self.interlude.end_for_sweep(now_ns)
-        self.scan = RunningScan(
-            prepared,
-            self.rig,
-            self.lane,
-            self.live,
-            on_fault=self.fault,
-            on_message=self.say,
-            on_view=self.preview.keep,
-        )
-        follow_scan(prepared.start.scan_uid)
-        self.scan.begin(now_ns)
-        self.enter(State.ARMED)
-        for warning in prepared.warnings:
-            self.say(warning)
-
     # ---- one turn of the loop ----
 
-    def _turn(self) -> None:
+    def turn(self) -> None:
+        """Handle everything that has come."""
         now_ns = self.clock.now_ns()
-        self._watch_time(now_ns)
-        for event in self._inbox.take_all():
-            self._take_device_event(event, now_ns)
-        for lane_event in self.lane.poll(now_ns):
-            if self.scan is not None:
-                self.scan.handle(lane_event, now_ns)
-                self._changed = True
-        self._changed |= self._commands.serve()
+        self._watch_clocks(now_ns)
+        for event in self._events.take_all():
+            self.take(event, now_ns)
+        for lane_event in self._frames.poll(now_ns):
+            self.scans.take(lane_event, now_ns)
+        if self._server.serve():
+            self.board.touch()
         self._watch_messages()
-        if self.scan is not None:
-            self.scan.handle(Tick(self.rig.stage.status().no_alarm_ns), now_ns)
-            self._watch_writer(self.scan, now_ns)
-            self._follow_scan()
-        else:
-            self.interlude.tick(now_ns)
+        if self.scans.running is None:
+            self.runner.tick(now_ns)
+        elif self.scans.tick(now_ns):
+            # the outcome is published while the scan still runs, then the rig becomes idle
+            self._publish_status(self.clock.now_ns(), force=True)
+            self.scans.finish(self.clock.now_ns())
         self.rig.stage.keep_alive()
         self._publish_status(now_ns)
-        # pictures come last: whatever the stage waits for has been said
+        # pictures come last: everything that the stage waits for has been sent
         self.preview.poll()
-        self.preview.flush(now_ns, self.camera_info.format, self.interlude.rate_hz)
+        self.preview.flush(now_ns, self.rig.camera_info.format, self.runner.rate_hz)
 
-    def _take_device_event(self, event: StageEvent | CameraFrame | CameraGone, now_ns: int) -> None:
-        self._changed = True
+    def take(self, event: DeviceEvent, now_ns: int) -> None:
+        """Hand an event of a device to the running scan, or to the activities."""
+        self.board.touch()
         if isinstance(event, CameraGone):
-            self.camera_away = "" if event.back else event.detail or "it does not answer"
-        if self.scan is None:
-            self.interlude.take(event, now_ns)
-        elif not self.interlude.is_stale(event, now_ns):
-            self.scan.handle(event, now_ns)
+            self.scans.note_camera(event)
+        if self.scans.running is None:
+            self.runner.take(event, now_ns)
+        elif not self.runner.is_stale(event, now_ns):
+            self.scans.take(event, now_ns)
 
-    def _follow_scan(self) -> None:
-        assert self.scan is not None
-        sweep = self.scan.sweep
-        if not self.scan.done:
-            self.enter(sweep.state)
-            return
-        self._publish_status(self.clock.now_ns(), force=True)
-        committed, outcome, reason = len(sweep.window.committed), sweep.outcome, sweep.finish.reason
-        self.scan.close()
-        self.scan = None
-        for state in (State.FINISHING, State.IDLE):
-            self.enter(state)
-        self.say(outcome_words(outcome, committed, sweep.count) + (f" ({reason})" if reason else ""))
-
-    def _watch_writer(self, scan: RunningScan, now_ns: int) -> None:
-        """A writer that says nothing while frames wait for it is lost, and the operator is told once."""
-        waiting = bool(scan.sweep.window.unacked)
-        lost = waiting and not self.lane.alive(now_ns, round(self.config.rig.limits.writer_lost_s * NS_PER_S))
-        if lost and not self._writer_lost:
-            self.fault(report("F03", committed=len(scan.sweep.window.committed), expected=scan.sweep.count))
-        self._writer_lost = lost
-        slow = scan.sweep.hold_reason is HoldReason.NO_CREDIT and not lost
-        if slow and not self._disk_slow:
-            self.fault(report("F04"))
-        # told once in a scan: a disk that is slower than the camera is so at every window
-        self._disk_slow |= slow
-
-    def _watch_time(self, now_ns: int) -> None:
-        """A frozen process and a jump of the wall clock do no harm, but explain a gap in a log: they are noted."""
-        for code, seconds in self._time.update(now_ns, epoch_utc_ns()):
-            # freezing matters only to a sweep; one that was not running has nothing to tell
-            if self.scan is not None:
-                facts = {"committed": len(self.scan.sweep.window.committed), "expected": self.scan.sweep.count}
-                self.fault(report(code, seconds=f"{seconds:.0f}", **facts))
+    def _watch_clocks(self, now_ns: int) -> None:
+        """Note a frozen process and a jump of the wall clock: they do no harm, but explain a gap in a log."""
+        for code, seconds in self._clock_watch.update(now_ns, epoch_utc_ns()):
+            # shown to the operator only where it may have touched a scan
+            if self.scans.running is not None:
+                self.board.fault(report(code, seconds=f"{seconds:.0f}", **self.scans.progress))
             else:
                 logger.info("%s: %.1f s", code, seconds)
 
     def _watch_messages(self) -> None:
-        """Tell of messages and blocks that nobody could read: the first, and when there are ten times as many."""
-        count = self._commands.malformed + self.lane.counters["malformed"]
+        """Report messages and blocks that could not be read: the first, and when there are ten times as many."""
+        count = self._server.malformed + self._frames.counters["malformed"]
         if self._unreadable.reached(count):
-            self.fault(report("F20", count=count))
+            self.board.fault(report("F20", count=count))
         damaged = self.rig.stage.status().damaged_blocks
         if self._noisy.reached(damaged):
-            self.fault(report("F11", detail=f"{damaged} blocks came damaged"))
-
-    def _interrupt(self, now_ns: int) -> None:
-        """The service ends: so does the sweep, with an honest end."""
-        if self.scan is not None:
-            self.fault(report("F24", committed=len(self.scan.sweep.window.committed), expected=self.scan.sweep.count))
-            self.scan.handle(StopRequested(Outcome.ABORTED, "F24 the service was told to stop"), now_ns)
-
-    # ---- clients ----
-
-    def _do(self, command: Command) -> dict[str, Any]:
-        self.control.hear(command.name, command.client, self.clock.now_ns())
-        return self._desk.serve(command.name, command.args, command.client)
+            self.board.fault(report("F11", detail=f"{damaged} blocks came damaged"))
 
     # ---- status ----
 
     def _publish_status(self, now_ns: int, *, force: bool = False) -> None:
-        hz = self.config.rig.limits.status_hz
-        if not force and now_ns < self._status_due_ns and not (self._changed and now_ns >= self._status_next_ns):
+        early = now_ns >= self._early_status_ns and self.board.changed
+        if not (force or early or now_ns >= self._status_due_ns):
             return
-        self._changed = False
-        self._status_due_ns = now_ns + round(NS_PER_S / hz)
-        self._status_next_ns = now_ns + NS_PER_S // 25
+        self.board.published()
+        self._status_due_ns = now_ns + round(NS_PER_S / self.config.rig.limits.status_hz)
+        self._early_status_ns = now_ns + EARLY_STATUS_NS
         self._status.send(self.current_status(now_ns))
 
     def current_status(self, now_ns: int) -> Status:
         """The rig as it is now."""
-        return self.board.status(
-            now_ns,
-            stage=self.rig.stage.status(),
-            stage_info=self.stage_info,
-            camera_info=self.camera_info,
-            settings=self.settings,
-            lane=self.lane,
-            scan=self.scan,
-            interlude=self.interlude,
-            control=self.control,
-            preview=self.preview,
+        rig, stage, lost_ns = self.rig, self.rig.stage.status(), self.config.rig.limits.writer_lost_s * NS_PER_S
+        counters = self._frames.counters | self.preview.counters | self.runner.counters | self.scans.counters
+        return status_message(
+            self.config.rig.stage,
+            stage,
+            rig.stage_info,
+            rig.camera_info,
+            rig.camera_settings,
+            self.runner.status(),
+            self.scans.status(now_ns),
+            state=self.scans.state,
+            faults=self.board.faults,
+            message=self.board.message,
+            counters=counters,
+            control=self._control.holder(now_ns),
+            lamp_warm_s=self._lamp.update(now_ns, on=stage.lamp_on),
+            writer_alive=self._frames.alive(now_ns, round(lost_ns)),
         )
 
     def _publish_last(self) -> None:
-        self.board.state = State.DISCONNECTED
+        self.board.close()
         self._publish_status(self.clock.now_ns(), force=True)
 
 
@@ -304,16 +238,12 @@ def run_daemon(config: LoadedConfig, run_dir: Path) -> None:
 
     Raises:
         AlreadyRunningError: another daemon holds the lock.
-        ConfigError: a socket or a driver that cannot be.
+        ConfigError: a socket or a driver that cannot be used.
     """
     lock = lock_service(prepare_run_dir(run_dir), "daemon")
     daemon = Daemon(config, run_dir, build_rig(config.rig))
-
-    def end(_signal: int, _frame: object) -> None:
-        daemon.ending = True
-
-    signal.signal(signal.SIGTERM, end)
-    signal.signal(signal.SIGINT, end)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda _signal, _frame: daemon.request_end())
     try:
         daemon.open()
         daemon.run()

@@ -16,6 +16,7 @@ import zmq
 from numpy.typing import NDArray
 
 from acquire.activities.images import View
+from acquire.activities.preview_publisher import MOST_IN_A_SWEEP_HZ, PreviewPublisher
 from acquire.contract.errors import NoServiceError, SweepscopeError
 from acquire.contract.messaging.lanes import Sender, bind, connect, receive, shared
 from acquire.contract.messaging.messages import (
@@ -34,7 +35,6 @@ from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
 from acquire.contract.states import Outcome, State
 from acquire.contract.units import NS_PER_S
 from acquire.daemon.frame_sender import FrameSender
-from acquire.daemon.preview_publisher import MOST_IN_A_SWEEP_HZ, PreviewLane
 from acquire.sweep.credit_window import CreditWindow, slots_for
 from acquire.sweep.events import Committed, Sealed
 
@@ -79,7 +79,7 @@ class Publisher:
     ) -> None:
         """``pictures``: a subscriber gets preview pictures, as often as in a sweep."""
         self._ring, self._frames = ring, frames
-        self.preview = PreviewLane(bind(context, zmq.XPUB, place, "preview"))
+        self.preview = PreviewPublisher(bind(context, zmq.XPUB, place, "preview"))
         self._looks = connect(context, zmq.SUB, place, "preview") if pictures else None
         self._pids = {"publisher": os.getpid(), **pids}
         self._lane = FrameSender(bind(context, zmq.ROUTER, place, "frames"))

@@ -9,11 +9,11 @@ from typing import Any
 
 import msgpack
 import zmq
+from acquire.daemon.commands.requests import REQUESTS
 
 from acquire.contract.messaging.codec import encode
 from acquire.contract.messaging.lanes import connect
 from acquire.contract.messaging.messages import PROTOCOL, Command, Image, Nack
-from acquire.daemon.commands.requests import REQUESTS
 
 LANES = {
     "command": zmq.DEALER,

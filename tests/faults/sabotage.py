@@ -116,9 +116,9 @@ def _no_light_monitor() -> None:
 
 
 def _no_time_watch() -> None:
-    from acquire.daemon.clock_watch import TimeWatch
+    from acquire.daemon.clock_watch import ClockWatch
 
-    _replace(TimeWatch, "update", lambda *_args: [])
+    _replace(ClockWatch, "update", lambda *_args: [])
 
 
 def _wall_clock() -> None:
@@ -129,13 +129,13 @@ def _wall_clock() -> None:
 
 
 def _no_reservation() -> None:
-    from acquire.daemon import scan_setup as preparing
-    from acquire.writer import create_file as scan_create
+    from acquire.daemon import scan_setup
+    from acquire.writer import create_file
 
-    _replace(scan_create, "_probe", lambda *_args: None)
-    _replace(scan_create, "reserve", lambda *_args: False)
-    real = preparing.space_for
-    _replace(preparing, "space_for", lambda *args: (real(*args)[0], 10**18))
+    _replace(create_file, "_probe", lambda *_args: None)
+    _replace(create_file, "reserve", lambda *_args: False)
+    real = scan_setup.space_for
+    _replace(scan_setup, "space_for", lambda *args: (real(*args)[0], 10**18))
 
 
 def _no_link_count() -> None:
@@ -154,10 +154,10 @@ def _no_link_count() -> None:
 
 
 def _no_calibration_check() -> None:
-    from acquire.daemon import scan_setup as preparing
+    from acquire.daemon import scan_setup
 
-    _replace(preparing, "check_size", lambda *_args: None)
-    _replace(preparing, "check_validity", lambda *_args: [])
+    _replace(scan_setup, "check_size", lambda *_args: None)
+    _replace(scan_setup, "check_validity", lambda *_args: [])
 
 
 def _no_signal_handler() -> None:
@@ -212,9 +212,9 @@ def _blocking_live_lane() -> None:
         return socket
 
     _replace(lanes, "bind", bind)
-    from acquire.daemon import service as daemon
+    from acquire.daemon import service
 
-    _replace(daemon, "bind", bind)
+    _replace(service, "bind", bind)
     real_send = lanes.Sender.send
 
     def send(self: Any, message: Any, payload: Any = None, *, routing_id: Any = None) -> bool:
@@ -228,9 +228,9 @@ def _blocking_live_lane() -> None:
 
 
 def _one_client_only() -> None:
-    from acquire.daemon.commands.command_server import CommandLane
+    from acquire.daemon.commands.command_server import CommandServer
 
-    real, known = CommandLane._answer, set()
+    real, known = CommandServer._answer, set()
 
     def answer(self: Any, received: Any) -> None:
         known.add(received.routing_id)
@@ -238,7 +238,7 @@ def _one_client_only() -> None:
             raise RuntimeError("too many clients")
         real(self, received)
 
-    _replace(CommandLane, "_answer", answer)
+    _replace(CommandServer, "_answer", answer)
 
 
 def _no_comparison_by_the_worker() -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from acquire.contract.process.clocks import Clock
+
 from .rig_in_process import RigInProcess
 
 
@@ -15,9 +17,9 @@ def start_rig(run_dir: Path, tmp_path: Path) -> Iterator[Callable[..., RigInProc
     """Start a rig with these settings (dots as double underscores)."""
     rigs: list[RigInProcess] = []
 
-    def call(**settings: object) -> RigInProcess:
+    def call(clock: Clock | None = None, **settings: object) -> RigInProcess:
         dotted = {name.replace("__", "."): value for name, value in settings.items()}
-        rigs.append(RigInProcess(run_dir, tmp_path / "scans", dotted).__enter__())
+        rigs.append(RigInProcess(run_dir, tmp_path / "scans", dotted, clock=clock).__enter__())
         return rigs[-1]
 
     yield call

@@ -9,12 +9,14 @@ from typing import Any, Self
 
 import zmq
 
+from acquire.cameras.protocol import CameraFrame, CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.config.model import RigConfig
 from acquire.contract.messaging.lanes import connect, receive
 from acquire.contract.messaging.messages import Picture
+from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.daemon.service import Daemon
-from acquire.rigs.base import Rig
+from acquire.rigs.base import DeviceEvent, Rig
 from acquire.rigs.build import build_rig
 from tests.waiting import DEADLINE_S, WALL_CLOCK_S, wait_for
 from tui.client.rig_client import RigClient
@@ -32,6 +34,28 @@ SMALL = {
 }
 
 
+class AdjustableClock:
+    """CLOCK_MONOTONIC plus ``ahead_ns``; it can stand still."""
+
+    def __init__(self, ahead_ns: int = 0) -> None:
+        self._ahead_ns = ahead_ns
+        self._frozen_ns: int | None = None
+
+    def now_ns(self) -> int:
+        """The time that the daemon goes by."""
+        if self._frozen_ns is not None:
+            return self._frozen_ns
+        return MonotonicClock().now_ns() + self._ahead_ns
+
+    def freeze(self) -> None:
+        """Stand still."""
+        self._frozen_ns = self.now_ns()
+
+    def thaw(self) -> None:
+        """Go on, as if it had not stood still."""
+        self._frozen_ns = None
+
+
 class RigInProcess:
     """Use it in a ``with`` block; ``settings`` are section.key -> value."""
 
@@ -41,11 +65,33 @@ class RigInProcess:
         data_dir: Path,
         settings: dict[str, Any],
         make_rig: Callable[[RigConfig], Rig] = build_rig,
+        clock: Clock | None = None,
     ) -> None:
         self.run_dir = run_dir
+        self.events: list[DeviceEvent] = []
+        """What the devices told the daemon."""
         config = load_config(overrides=SMALL | {"storage.data_dir": str(data_dir)} | settings, environ={})
-        self.daemon = Daemon(config, run_dir, make_rig(config.rig))
+        self.daemon = Daemon(config, run_dir, self._overheard(make_rig(config.rig)), clock)
         self._thread = threading.Thread(target=self.daemon.run, name="daemon")
+
+    def _overheard(self, rig: Rig) -> Rig:
+        """Note the events of the devices on their way, and let :meth:`emit` add others."""
+        open_devices = rig.open
+
+        def opened(sink: Callable[[DeviceEvent], None], settings: CameraSettings) -> None:
+            def tell(event: DeviceEvent) -> None:
+                sink(event)
+                self.events.append(event)
+
+            self.emit = tell
+            open_devices(tell, settings)
+
+        rig.open = opened  # type: ignore[method-assign]
+        return rig
+
+    def frames(self) -> int:
+        """Pictures that the camera has delivered."""
+        return sum(isinstance(event, CameraFrame) for event in self.events)
 
     def __enter__(self) -> Self:
         self._context: zmq.Context[Any] = zmq.Context()
@@ -56,7 +102,7 @@ class RigInProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.daemon.ending = True
+        self.daemon.request_end()
         self._thread.join(WALL_CLOCK_S)
         self.daemon.close()
         self._client.close()

@@ -212,3 +212,8 @@ class RigConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     viewer: ViewerConfig = ViewerConfig()
     network: NetworkConfig = NetworkConfig()
     simulation: SimulationConfig = SimulationConfig()
+
+    @property
+    def time_scale(self) -> float:
+        """Factor of waits for the stage and the lamp: 1 where they are real."""
+        return self.simulation.time_scale if self.stage.kind == "simulated" else 1.0

@@ -1,4 +1,4 @@
-"""The daemon's end of the command lane: one reply to each request, done once however often it comes, never too late."""
+"""The daemon's end of the command lane: one reply to each request; a repeated request is done once, a late one not."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ MOST_PER_TURN: Final = 32
 MOST_REMEMBERED: Final = 256
 
 
-class CommandLane:
+class CommandServer:
     """ROUTER side. One thread calls everything."""
 
     def __init__(
-        self, socket: zmq.Socket[Any], clock: Clock, late_after_s: float, do: Callable[[Command], dict[str, Any]]
+        self, socket: zmq.Socket[Any], clock: Clock, late_after_s: float, do: Callable[[Command, int], dict[str, Any]]
     ) -> None:
-        """``do`` carries a command out and returns what the reply carries, or raises SweepscopeError."""
+        """``do`` does a command at a time (ns) and returns the result of its reply, or raises SweepscopeError."""
         self.socket = socket
         self.malformed = 0
         self._sender = Sender(socket)
@@ -37,7 +37,7 @@ class CommandLane:
         self._replies: OrderedDict[str, Reply] = OrderedDict()
 
     def serve(self) -> bool:
-        """Answer what has come, as much as fits into one turn; True if there was anything."""
+        """Answer the requests that have come, up to ``MOST_PER_TURN``; True if there were any."""
         before, answered = self.malformed, 0
         for received in arrived(self.socket, MOST_PER_TURN, self._unreadable):
             self._answer(received)
@@ -63,22 +63,23 @@ class CommandLane:
 
     def _reply_to(self, command: Command) -> Reply:
         request_id = command.request_id
-        age_ns = self._clock.now_ns() - command.sent_mono_ns if command.sent_mono_ns else 0
-        if age_ns > self._patience_ns(command.name):
-            # it lay in a queue while the daemon was away or the line stood still: whoever asked has long given up
+        now_ns = self._clock.now_ns()
+        age_ns = now_ns - command.sent_mono_ns if command.sent_mono_ns else 0
+        if age_ns > self._longest_age_ns(command.name):
+            # it waited in a queue while the daemon was away or the network stalled: the client has given up
             late = f"{command.name} came {age_ns / NS_PER_S:.1f} s late and was not done; ask again"
             return Reply(request_id=request_id, ok=False, error=late)
         try:
-            return Reply(request_id=request_id, ok=True, result=self._do(command))
+            return Reply(request_id=request_id, ok=True, result=self._do(command, now_ns))
         except SweepscopeError as error:
             return Reply(request_id=request_id, ok=False, error=str(error))
         except OSError as error:
-            # a disk that fails under a request must not end the sweep that runs
+            # a failing disk must not end the daemon, and with it a running sweep
             logger.exception("%s failed", command.name)
             return Reply(request_id=request_id, ok=False, error=f"{command.name} failed: {error}")
 
-    def _patience_ns(self, name: str) -> float:
+    def _longest_age_ns(self, name: str) -> float:
         if never_late(name):
             return float("inf")
-        # key presses that bunched up on the way must not move the stage after the key was let go
+        # repeated key presses that queued up on the way must not move the stage after the key was released
         return LEASE_MS * NS_PER_MS if name == "jog_hold" else self._late_after_ns

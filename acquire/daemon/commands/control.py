@@ -1,4 +1,4 @@
-"""Who holds control of the rig: at most one client, by name, and only as long as it is heard of. Pure."""
+"""Which client holds control of the rig: at most one, by name, and only while it sends commands. Pure."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from acquire.contract.permissions import needs_control
 from acquire.contract.units import NS_PER_S
 
 LAPSE_NS: Final = 10 * NS_PER_S
-"""So long after its holder's last word control is free again."""
+"""Control is free again so long after the last command of its holder."""
 
 
 @dataclass
 class Control:
-    """Nobody holds it: any client may act. Somebody does: the others may look, ask, and stop."""
+    """While no client holds it, any may act; while one does, the others may only watch, estimate, and stop."""
 
     _holder: str = ""
     _until_ns: int = 0
 
     def holder(self, now_ns: int) -> str:
-        """The client that holds control now; empty: nobody."""
+        """The client that holds control now; empty: none."""
         return self._holder if now_ns < self._until_ns else ""
 
     def hear(self, command: str, client: str, now_ns: int) -> None:
-        """A command came: the holder's own keeps control, a stranger's may be refused.
+        """A command has come: one of the holder renews control, one of another client may be refused.
 
         Raises:
-            CommandRefusedError: somebody else holds control; the text names who, and the way out.
+            CommandRefusedError: another client holds control; the text names it, and says how to take over.
         """
         holder = self.holder(now_ns)
         if holder and client == holder:
@@ -37,10 +37,10 @@ class Control:
             raise CommandRefusedError(f"{holder} holds control: take it with 'control take'")
 
     def change(self, action: Literal["take", "renew", "release"], client: str, now_ns: int) -> None:
-        """Take control (from whoever has it), keep it, or give it back.
+        """Take control (also from another holder), renew it, or release it.
 
         Raises:
-            CommandRefusedError: a client without a name, or one that does not hold what it renews or gives back.
+            CommandRefusedError: a client without a name, or one that does not hold what it renews or releases.
         """
         if not client:
             raise CommandRefusedError("control is held under a name, and a command has one at a terminal only")

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from acquire.activities.exposure_search import advise
-from acquire.activities.jog_hold import MOST_STEPS
+from acquire.activities.jog_hold import LEASE_MS, MOST_STEPS
 from acquire.activities.prescan import look_positions
 from acquire.activities.prescan_analysis import Looks, find_bounds, propose_exposure
 from acquire.contract.errors import CommandRefusedError
-from tests.unit.rig_in_process import RigInProcess
+from acquire.contract.units import NS_PER_MS
+from tests.unit.rig_in_process import AdjustableClock, RigInProcess
 
 OVER_THE_SPECIMEN = 700
 BY_HAND = {"sweep__max_rate_hz": 15.0}
@@ -216,16 +217,19 @@ def test_a_held_key_moves_the_stage_until_it_is_let_go(start_rig):
 
 
 def test_a_hold_goes_no_further_than_its_bound_or_the_soft_limit_and_then_wants_the_key_let_go(start_rig):
-    rig = start_rig()
+    clock = AdjustableClock()
+    rig = start_rig(clock=clock)
+    clock.freeze()
     rig.ask("jog_hold", direction=1, rate_steps_per_s=100_000)
     status = ended(rig)
     assert status["position_steps"] == MOST_STEPS and "the most of one hold" in status["message"]
-    rig.daemon._desk._held_ns = rig.daemon.clock.now_ns()
     with pytest.raises(CommandRefusedError, match="let the key go, and press it again"):
         rig.ask("jog_hold", direction=1)
+    pressed_ns = clock.now_ns()
+    clock.thaw()
     rig.ask("goto", position_steps=4400)
     ended(rig)
-    rig.daemon._desk._held_ns = 0
+    rig.until_true(lambda: clock.now_ns() > pressed_ns + LEASE_MS * NS_PER_MS, "the key was let go")
     assert "stage.travel_max_steps" in rig.ask("jog_hold", direction=1, rate_steps_per_s=100_000)["limit"]
     assert ended(rig)["position_steps"] == 4500
 
@@ -239,9 +243,7 @@ def test_the_other_direction_stops_the_stage_first(start_rig):
 
 
 def test_key_presses_that_come_late_move_nothing(start_rig):
-    rig = start_rig()
-    now_ns = rig.daemon.clock.now_ns
-    rig.daemon._commands._clock = type("Later", (), {"now_ns": lambda _self: now_ns() + 400_000_000})()
+    rig = start_rig(clock=AdjustableClock(ahead_ns=400 * NS_PER_MS))
     with pytest.raises(CommandRefusedError, match=r"jog_hold came 0\.4 s late and was not done"):
         rig.ask("jog_hold", direction=1)
     assert rig.status()["position_steps"] == 0

@@ -9,9 +9,8 @@ import pytest
 from acquire.cameras.protocol import CameraGone, CameraInfo, CameraLostError, CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.messaging.messages import Command, FrameFormat
 from acquire.contract.states import Outcome, State
-from acquire.daemon.commands.requests import ScanRequest
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm, StageInfo, StageStatus
@@ -56,21 +55,26 @@ def daemon(run_dir, tmp_path):
     made.close()
 
 
+def serve(daemon, name, /, **args):
+    """One command, as the command lane hands it over."""
+    return daemon.commands.serve(Command(request_id="1", name=name, args=args), NOW_NS)
+
+
 @pytest.fixture
 def running(daemon):
     """A scan that waits for its writer."""
-    daemon._desk._scan(ScanRequest(name="test", purpose="raw"))
-    return daemon.scan
+    serve(daemon, "scan", name="test", purpose="raw")
+    return daemon.scans.running
 
 
 def test_after_an_alarm_outside_of_a_scan_the_rig_can_be_used_again_without_a_restart(daemon):
-    daemon.enter(State.MOVING)
-    daemon._take_device_event(Alarm("F13", "reset", 0, position_trusted=False), NOW_NS)
+    serve(daemon, "goto", position_steps=10)
+    daemon.take(Alarm("F13", "reset", 0, position_trusted=False), NOW_NS)
     assert daemon.board.state is State.FAULT and daemon.board.faults[0].code == "F13"
     with pytest.raises(CommandRefusedError, match="acknowledge"):
-        daemon._desk.serve("home", {})
-    daemon._desk.serve("acknowledge", {})
-    daemon._desk.serve("home", {})
+        serve(daemon, "home")
+    serve(daemon, "acknowledge")
+    serve(daemon, "home")
     assert daemon.rig.stage.calls[-1] == "home" and daemon.board.state is State.HOMING
 
 
@@ -92,11 +96,11 @@ def test_a_camera_that_does_not_answer_is_waited_for_and_neither_ends_the_sweep_
 
 
 def test_no_scan_begins_while_the_camera_is_away(daemon):
-    daemon._take_device_event(CameraGone("pulled"), NOW_NS)
+    daemon.take(CameraGone("pulled"), NOW_NS)
     with pytest.raises(CommandRefusedError, match="away"):
-        daemon._desk.serve("scan", {"name": "test", "purpose": "raw"})
-    daemon._take_device_event(CameraGone("", back=True), NOW_NS)
-    assert daemon._desk.serve("scan", {"name": "test", "purpose": "raw"})["expected"]
+        serve(daemon, "scan", name="test", purpose="raw")
+    daemon.take(CameraGone("", back=True), NOW_NS)
+    assert serve(daemon, "scan", name="test", purpose="raw")["expected"]
 
 
 def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(running):
@@ -104,13 +108,12 @@ def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(runni
     running.close()
 
 
-def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(daemon, monkeypatch):
-    from acquire.contract.messaging.messages import Command
-    from acquire.daemon.commands import scan_commands as desk
-
+def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(start_rig, monkeypatch):
     def fails(*_args):
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(desk, "prepare_scan", fails)
-    reply = daemon._commands._reply_to(Command(request_id="1", name="scan", args={"name": "test", "purpose": "raw"}))
-    assert not reply.ok and "Input/output error" in reply.error
+    rig = start_rig()
+    monkeypatch.setattr(shutil, "disk_usage", fails)
+    with pytest.raises(CommandRefusedError, match="scan failed: .*Input/output error"):
+        rig.ask("scan", name="test", purpose="raw")
+    assert rig.status()["state"] == "idle"

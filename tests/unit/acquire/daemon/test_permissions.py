@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
+from unittest.mock import MagicMock
 
 import msgspec
 import pytest
 
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messaging.messages import Status
+from acquire.contract.messaging.messages import Command, Status
 from acquire.contract.permissions import PERMISSIONS, needs_control, refusal, why_not_offered
 from acquire.contract.states import HoldReason, State
-from acquire.daemon.commands.requests import REQUESTS
+from acquire.daemon.commands.activity_commands import ActivityCommands
+from acquire.daemon.commands.control import Control
+from acquire.daemon.commands.table import CommandDispatcher, command_table
+from acquire.daemon.requests import Call, JogHoldRequest, Result
+from acquire.stages.protocol import StageStatus
 from process.viewer.rig_client.lease import Lease
 from process.viewer.status_text import allowed
 from tui.console.state.scan_rules import COMMAND_OF, why_not
@@ -34,20 +38,48 @@ STATUSES = [
 ]
 
 
-def test_the_table_has_every_command_of_the_daemon_and_no_other():
-    assert PERMISSIONS.keys() == REQUESTS.keys()
+def commands(statuses: list[Status]) -> CommandDispatcher:
+    """The daemon's commands, which judge by the newest of these statuses and do nothing."""
+    rig, parts = MagicMock(), MagicMock()
+    rig.stage.status.return_value = StageStatus(0, False, "", False, 0)
+
+    def newest(_now_ns: int) -> Status:
+        return statuses[-1]
+
+    def first_press(request: JogHoldRequest, call: Call) -> Result:
+        return ActivityCommands(rig, parts.config, parts.runner, parts.lamp, newest).jog_hold(request, call)
+
+    parts.activities.jog_hold = first_press
+    return CommandDispatcher(
+        command_table(parts.scans, parts.devices, parts.activities, parts.service), Control(), newest
+    )
 
 
 @pytest.mark.parametrize("command", PERMISSIONS)
-def test_console_and_page_offer_a_command_exactly_when_the_daemon_does_not_refuse_it(command):
+def test_daemon_console_and_page_give_one_answer_for_each_state(command):
     actions = [command, *(action for action, other in COMMAND_OF.items() if other == command)]
-    for status, action in itertools.product(STATUSES, actions):
-        reason = refusal(command, status)
-        if why_not_offered(command, status) == "the sweep is paused already":
-            assert not reason, "it is done, but has no effect"
-            reason = why_not_offered(command, status)
-        assert why_not(action, status) == reason
-        assert allowed(status, live=True)[command] == (not reason)
+    asked = Command(request_id="1", name=command, args=ARGUMENTS.get(command, {}))
+    statuses: list[Status] = []
+    daemon = commands(statuses)
+    for status in STATUSES:
+        statuses.append(status)
+        offered = why_not_offered(command, status)
+        try:
+            daemon.serve(asked, 0)
+            refused = ""
+        except CommandRefusedError as error:
+            refused = str(error).partition(": ")[2]
+        if status.hold_reason == HoldReason.PAUSED and command == "pause":
+            assert (refused, offered) == ("", "the sweep is paused already"), "done, but without effect"
+        else:
+            assert refused == offered
+        assert {why_not(action, status) for action in actions} == {offered}
+        assert allowed(status, live=True)[command] == (not offered)
+
+
+def test_the_table_has_every_command_of_the_daemon_and_no_other():
+    parts = MagicMock()
+    assert PERMISSIONS.keys() == command_table(parts, parts, parts, parts).keys()
 
 
 RIGS = {

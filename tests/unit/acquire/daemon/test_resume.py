@@ -10,7 +10,7 @@ import pytest
 from acquire.cameras.protocol import CameraInfo, CameraLostError, CameraSettings
 from acquire.contract.config.load import LoadedConfig, load_config
 from acquire.contract.errors import CommandRefusedError
-from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.messaging.messages import Command, FrameFormat
 from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.states import Outcome
@@ -104,17 +104,22 @@ def daemon(run_dir, tmp_path):
     made.close()
 
 
+def resume(daemon, scan):
+    command = Command(request_id="1", name="resume_scan", args={"path": str(scan)})
+    return daemon.commands.serve(command, daemon.clock.now_ns())
+
+
 def test_a_scan_on_the_fly_is_not_gone_on_with_by_a_stage_that_must_stand_still(daemon, scan):
-    daemon.stage_info = msgspec.structs.replace(daemon.stage_info, modes=("step",))
+    daemon.rig.stage_info = msgspec.structs.replace(daemon.rig.stage_info, modes=("step",))
     with pytest.raises(CommandRefusedError, match="not in fly mode"):
-        daemon._desk.serve("resume_scan", {"path": str(scan)})
+        resume(daemon, scan)
     assert_nobodys(scan)
 
 
 def test_a_camera_that_does_not_answer_leaves_the_scan_to_be_resumed_another_time(daemon, scan):
     daemon.rig.camera.lost = True
     with pytest.raises(CameraLostError):
-        daemon._desk.serve("resume_scan", {"path": str(scan)})
+        resume(daemon, scan)
     assert_nobodys(scan)
     daemon.rig.camera.lost = False
-    assert daemon._desk.serve("resume_scan", {"path": str(scan)})["expected"] == COUNT
+    assert resume(daemon, scan)["expected"] == COUNT

@@ -40,10 +40,10 @@ def test_a_preview_shows_what_the_camera_sees_where_the_stage_is(start_rig):
 def test_nobody_looks_no_picture_is_taken(start_rig):
     rig = start_rig()
     rig.ask("preview", on=True, rate_hz=30)
-    taken = rig.daemon.rig.camera._frame_id
+    taken = rig.frames()
     for _ in range(20):
         rig.status()
-    assert rig.daemon.rig.camera._frame_id == taken
+    assert rig.frames() == taken
     rig.picture(rig.watch())
 
 
@@ -69,14 +69,16 @@ def test_a_scan_may_start_from_a_preview_which_then_ends(start_rig):
     assert status["activity"] == "" and status["faults"][0]["code"] == "F05"
 
 
-def test_the_previews_last_picture_is_not_taken_for_one_of_the_sweep(start_rig):
+def test_the_previews_last_picture_is_not_taken_for_one_of_the_sweep(start_rig, monkeypatch):
     rig = start_rig(simulation__time_scale=5.0, camera__frame_timeout_ms=20000.0, limits__writer_start_s=20.0)
-    interlude = rig.daemon.interlude
+    asked_for = []
+    snap = rig.daemon.rig.camera.snap
+    monkeypatch.setattr(rig.daemon.rig.camera, "snap", lambda: (asked_for.append("a picture"), snap()))
     rig.watch()
     rig.ask("preview", on=True, rate_hz=30)
-    rig.until_true(lambda: interlude._owed_until_ns, "a picture is on its way")
+    rig.until_true(lambda: len(asked_for) > rig.frames(), "a picture is on its way")
     rig.ask("scan", purpose="raw")
-    rig.until_true(lambda: not interlude._owed_until_ns, "it has come")
+    rig.until_true(lambda: len(asked_for) == rig.frames(), "it has come")
     assert rig.status()["counters"]["received"] == rig.status()["counters"]["check_frames"] == 0
 
 
@@ -167,7 +169,7 @@ def test_control_lapses_ten_seconds_after_its_holders_last_word():
 def test_a_rig_in_fault_moves_again_only_after_the_fault_was_acknowledged(start_rig):
     rig = start_rig()
     rig.ask("preview", on=True)
-    rig.daemon._inbox.put(Alarm("F23", "the limit switch was hit", 12, position_trusted=True))
+    rig.emit(Alarm("F23", "the limit switch was hit", 12, position_trusted=True))
     status = rig.until(lambda s: s["state"] == "fault", "the alarm is shown")
     assert status["faults"][0]["code"] == "F23" and status["activity"] == ""
     for command, args in (("home", {}), ("preview", {"on": True}), ("expose", {})):

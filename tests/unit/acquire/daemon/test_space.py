@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import namedtuple
 
 import pytest
 
+from acquire.cameras.protocol import CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat
-from acquire.contract.plan import SweepPlan
-from acquire.daemon import scan_setup as preparing
+from acquire.daemon.requests import ScanRequest
+from acquire.daemon.scan_setup import CheckedScan, check_scan
+from acquire.rigs.base import Rig
 
 Usage = namedtuple("Usage", "total used free")
 FORMAT = FrameFormat(width=1024, height=768, bit_depth=8, pixel_format="rgb")
-PLAN = SweepPlan(0, 1578, 3, 3.175)
+NEEDED = (527 + 4) * FORMAT.nbytes
+"""The frames of the default plan, and one for each of the checks."""
 
 
-def check(tmp_path, monkeypatch, free: int) -> None:
-    monkeypatch.setattr(preparing.shutil, "disk_usage", lambda _place: Usage(2**40, 0, free))
+def check(tmp_path, monkeypatch, free: int) -> CheckedScan:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _place: Usage(2**40, 0, free))
     config = load_config(environ={"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path / "not" / "yet")})
-    preparing._check_space(config, PLAN, FORMAT)
+    raw = ScanRequest(purpose="raw")
+    return check_scan(raw, config, Rig(None, None), FORMAT, CameraSettings(30, 0, 0), "zero")
 
 
 def test_a_scan_that_does_not_fit_is_refused_with_needed_free_place_duration_and_way_out(tmp_path, monkeypatch):
@@ -31,5 +36,8 @@ def test_a_scan_that_does_not_fit_is_refused_with_needed_free_place_duration_and
         assert words in text, f"{words!r} is missing in {text!r}"
 
 
-def test_a_scan_that_fits_is_not(tmp_path, monkeypatch):
-    check(tmp_path, monkeypatch, 2_000_000_000)
+def test_a_scan_that_just_fits_is_allowed_and_one_byte_less_is_not(tmp_path, monkeypatch):
+    found = check(tmp_path, monkeypatch, NEEDED)
+    assert (found.needed_bytes, found.free_bytes) == (NEEDED, NEEDED)
+    with pytest.raises(CommandRefusedError, match="make room"):
+        check(tmp_path, monkeypatch, NEEDED - 1)

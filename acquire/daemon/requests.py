@@ -1,9 +1,9 @@
-"""What clients may ask of the daemon: each command's arguments as a typed struct with bounds."""
+"""The arguments of each command as a typed struct with bounds."""
 
 from __future__ import annotations
 
-import difflib
 import re
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
@@ -13,12 +13,25 @@ from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import Purpose
 from acquire.contract.plan import Position
 
+
+@dataclass(frozen=True)
+class Call:
+    """One command as it came."""
+
+    client: str
+    """Name of the client; empty: a client that cannot hold control."""
+    now_ns: int
+    """CLOCK_MONOTONIC."""
+
+
+Result = dict[str, Any]
+"""What the reply to a command contains."""
 Label = Annotated[str, Meta(max_length=200)]
 Shift = Annotated[float, Meta(ge=-5000, le=5000)]
 
 
 class ScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``scan``: what is left out comes from the configuration."""
+    """``scan`` and ``estimate``: what is left out comes from the configuration."""
 
     name: Annotated[str, Meta(min_length=1, max_length=100)] = "scan"
     first_steps: Position | None = None
@@ -90,7 +103,7 @@ class JogHoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ControlRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``control``: take it (from whoever holds it), renew it, or give it back; it lapses 10 s after the last word."""
+    """``control``: take it (also from another holder), renew it, or release it. It lapses after 10 s."""
 
     action: Literal["take", "renew", "release"]
 
@@ -103,7 +116,7 @@ class CaptureRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``specimen``: lay something else under the simulated camera, or turn it; what is left out stays."""
+    """``specimen``: lay another specimen under the simulated camera, or turn it; what is left out stays."""
 
     object: Literal["stirrup", "dome", "wedge", "flat", "checkerboard"] | None = None
     tilt_x_deg: Annotated[float, Meta(ge=-30, le=30)] | None = None
@@ -123,46 +136,17 @@ class NoArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Commands that take none."""
 
 
-REQUESTS: dict[str, type[msgspec.Struct]] = {
-    "scan": ScanRequest,
-    "resume_scan": ResumeScanRequest,
-    "pause": NoArguments,
-    "resume": NoArguments,
-    "stop": NoArguments,
-    "status": NoArguments,
-    "goto": GotoRequest,
-    "jog": JogRequest,
-    "home": NoArguments,
-    "zero": NoArguments,
-    "lamp": LampRequest,
-    "camera": CameraRequest,
-    "preview": PreviewRequest,
-    "control": ControlRequest,
-    "expose": NoArguments,
-    "prescan": PrescanRequest,
-    "jog_hold": JogHoldRequest,
-    "estimate": ScanRequest,
-    "capture": CaptureRequest,
-    "specimen": SpecimenRequest,
-    "acknowledge": AcknowledgeRequest,
-    "shutdown": NoArguments,
-}
-
 R = TypeVar("R", bound=msgspec.Struct)
 
 
-def parse_request(name: str, args: dict[str, Any]) -> msgspec.Struct:
-    """The typed arguments of a command.
+def parse_request(name: str, kind: type[R], args: dict[str, Any]) -> R:
+    """The typed arguments of the command ``name``.
 
     Raises:
-        CommandRefusedError: an unknown command (with the nearest one), an unknown argument, or a value out of bounds.
+        CommandRefusedError: an unknown argument, or a value out of its bounds.
     """
-    struct = REQUESTS.get(name)
-    if struct is None:
-        near = difflib.get_close_matches(name, REQUESTS, n=1, cutoff=0.0)
-        raise CommandRefusedError(f"there is no command {name[:40]!r}; did you mean {near[0]!r}?")
     try:
-        return msgspec.convert(args, struct, strict=True)
+        return msgspec.convert(args, kind, strict=True)
     except msgspec.ValidationError as error:
         raise CommandRefusedError(f"{name}: {_plainly(str(error))}") from None
 
@@ -171,7 +155,7 @@ _KINDS = {"float": "a number", "int": "a whole number", "str": "a text", "bool":
 
 
 def _plainly(complaint: str) -> str:
-    """msgspec's words for a value that does not fit, for people: ``gain must be a number <= 48.0``."""
+    """msgspec's message about a value that does not fit, for operators: ``gain must be a number <= 48.0``."""
     found = re.fullmatch(r"Expected `(\w+)(?: \| null)?`(.*?)(?:, got `\w+`)? - at `\$\.(\w+)`", complaint)
     if found is None:
         return complaint

@@ -7,9 +7,9 @@ import pytest
 import zmq
 
 from acquire.activities.images import View
+from acquire.activities.preview_publisher import PreviewPublisher
 from acquire.contract.messaging.lanes import bind, connect, receive
 from acquire.contract.messaging.messages import FrameFormat, Picture
-from acquire.daemon.preview_publisher import PreviewLane
 from tests.waiting import wait_for
 
 FORM = FrameFormat(width=64, height=48, bit_depth=8)
@@ -19,7 +19,7 @@ SECOND = 1_000_000_000
 @pytest.fixture
 def lane(run_dir):
     context = zmq.Context()
-    found = PreviewLane(bind(context, zmq.XPUB, run_dir, "preview"))
+    found = PreviewPublisher(bind(context, zmq.XPUB, run_dir, "preview"))
     found.join = lambda kind=zmq.SUB: connect(context, kind, run_dir, "preview")
     yield found
     context.destroy(linger=0)

@@ -1,4 +1,4 @@
-"""The preview lane: the newest picture for whoever looks. Lossy by design; nobody looks, no work."""
+"""Publishes the newest camera picture on the preview lane. Lossy by design; without subscribers no work is done."""
 
 from __future__ import annotations
 
@@ -7,48 +7,45 @@ from typing import Any, Final
 
 import zmq
 
-from acquire.activities.images import View, measure, reduce
 from acquire.contract.messaging.lanes import Sender
 from acquire.contract.messaging.messages import FrameFormat, Picture
 from acquire.contract.units import NS_PER_S
 
+from .images import View, measure, reduce
+
 MOST_IN_A_SWEEP_HZ: Final = 5.0
 """During a sweep no more pictures are made: they come after the frames."""
 _SUBSCRIBED, _LEFT = b"\x01", b"\x00"
-_MAX_WORDS: Final = 64
-"""Subscriptions read in one turn, so that nobody can keep the loop busy with them."""
+_MOST_SUBSCRIPTIONS: Final = 64
+"""Read in one turn, so that no client can keep the loop busy with them."""
 
 
-class PreviewLane:
+class PreviewPublisher:
     """XPUB side of the preview lane. One thread calls everything."""
 
     def __init__(self, socket: zmq.Socket[Any]) -> None:
         self._sender = Sender(socket)
-        self._watched = False
+        self.watched = False
+        """True while there are subscribers."""
         self._newest: View | None = None
         self._next_ns = 0
         self.counters = {"pictures": 0, "pictures_dropped": 0}
         self.spent_ns = 0
         """Time spent on pictures so far, in ns."""
 
-    @property
-    def watched(self) -> bool:
-        """Somebody subscribes to pictures."""
-        return self._watched
-
     def poll(self) -> None:
-        """Read who came and who went; other words on this socket mean nothing."""
-        for _ in range(_MAX_WORDS):
+        """Read subscriptions and their ends; anything else on this socket is ignored."""
+        for _ in range(_MOST_SUBSCRIPTIONS):
             try:
-                word = self._sender.socket.recv_multipart(zmq.NOBLOCK, copy=True)
+                message = self._sender.socket.recv_multipart(zmq.NOBLOCK, copy=True)
             except zmq.Again:
                 return
-            if word in ([_SUBSCRIBED], [_LEFT]):
-                self._watched = word == [_SUBSCRIBED]
+            if message in ([_SUBSCRIBED], [_LEFT]):
+                self.watched = message == [_SUBSCRIBED]
 
     def keep(self, view: View) -> None:
         """Remember a sweep's newest frame; :meth:`flush` may show it. The pixels must not change any more."""
-        self._newest = view if self._watched else None
+        self._newest = view if self.watched else None
 
     def flush(self, now_ns: int, frame_format: FrameFormat, rate_hz: float) -> None:
         """Show the frame that was kept, at most ``rate_hz`` times per second; call it when nothing else waits."""
@@ -59,8 +56,8 @@ class PreviewLane:
         self.show(view, frame_format)
 
     def show(self, view: View, frame_format: FrameFormat) -> None:
-        """Reduce a frame and publish it, if anybody looks."""
-        if not self._watched:
+        """Reduce a frame and publish it, if there are subscribers."""
+        if not self.watched:
             return
         begin_ns = time.perf_counter_ns()
         small = reduce(view.pixels, frame_format)

@@ -1,0 +1,82 @@
+"""What the operator is shown of the rig besides numbers: its state, its faults, and the last thing that happened."""
+
+from __future__ import annotations
+
+import logging
+from typing import Final
+
+import msgspec
+
+from acquire.contract.faults import in_one_line
+from acquire.contract.messaging.messages import FaultReport
+from acquire.contract.process.clocks import Clock
+from acquire.contract.states import State, transition
+
+logger = logging.getLogger(__name__)
+MAX_FAULTS: Final = 32
+"""Reports that are kept; the oldest go first."""
+
+
+class StatusBoard:
+    """One thread calls everything."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.state = State.DISCONNECTED
+        self.message = ""
+        self.faults: list[FaultReport] = []
+        self.changed = True
+        """Something that the status message shows has changed since it was published."""
+
+    def published(self) -> None:
+        """The status message was published."""
+        self.changed = False
+
+    def touch(self) -> None:
+        """Something else has changed that the status message shows."""
+        self.changed = True
+
+    def enter(self, state: State) -> None:
+        """Change the state by the table of transitions."""
+        if state is not self.state:
+            self.state = transition(self.state, state)
+            self.changed = True
+
+    def close(self) -> None:
+        """The devices are gone, whatever the rig was doing."""
+        self.state = State.DISCONNECTED
+        self.changed = True
+
+    def say(self, text: str) -> None:
+        """Show a line, and log it."""
+        logger.info(text)
+        self.message = text
+        self.changed = True
+
+    def fault(self, fault: FaultReport) -> None:
+        """Show a fault until it is acknowledged; the same fault again replaces its older report."""
+        same = [other for other in self.faults if (other.code, other.happened) == (fault.code, fault.happened)]
+        if all(other.acknowledged for other in same):
+            # logged once: a disk that fails reports it for each frame that waits
+            logger.error(in_one_line(fault))
+        kept = [other for other in self.faults if other not in same]
+        self.faults = [*kept, msgspec.structs.replace(fault, at_mono_ns=self._clock.now_ns())][-MAX_FAULTS:]
+        self.message = in_one_line(fault)
+        self.changed = True
+
+    def acknowledge(self, code: str) -> int:
+        """Mark faults as seen (all, where ``code`` is empty); returns how many.
+
+        A rig in FAULT becomes IDLE when all have been seen: whether the stage is still in alarm, it knows itself.
+        """
+        seen = [fault for fault in self.faults if not fault.acknowledged and code in ("", fault.code)]
+        self.faults = [msgspec.structs.replace(f, acknowledged=True) if f in seen else f for f in self.faults]
+        if self.state is State.FAULT and all(fault.acknowledged for fault in self.faults):
+            self.enter(State.IDLE)
+        self.changed = True
+        return len(seen)
+
+    def clear_seen(self) -> None:
+        """A scan begins: acknowledged faults and the last message go."""
+        self.faults = [fault for fault in self.faults if not fault.acknowledged]
+        self.message = ""
