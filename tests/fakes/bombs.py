@@ -9,11 +9,11 @@ from typing import Any
 
 import msgpack
 import zmq
-from acquire.daemon.commands.requests import REQUESTS
 
 from acquire.contract.messaging.codec import encode
 from acquire.contract.messaging.lanes import connect
 from acquire.contract.messaging.messages import PROTOCOL, Command, Image, Nack
+from acquire.contract.permissions import PERMISSIONS
 
 LANES = {
     "command": zmq.DEALER,
@@ -112,7 +112,7 @@ def _big_part(source: random.Random) -> list[bytes]:
 
 
 def _wild_command(source: random.Random) -> list[bytes]:
-    name = source.choice([*REQUESTS, "explode"])
+    name = source.choice([*PERMISSIONS, "explode"])
     value: Any = source.choice([10**15, -1, 1e308, float("nan"), "x" * 5000, [1] * 500, {"a": {}}, None, True])
     keys = "position_steps steps name exposure_ms path first_steps on rate_hz direction action every_steps nonsense"
     args = {"nonsense": 1, source.choice(keys.split()): value}

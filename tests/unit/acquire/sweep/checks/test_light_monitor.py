@@ -10,7 +10,7 @@ from acquire.cameras.scripted_faults import ScriptedFaults, parse_script
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import ConfigError
 from acquire.contract.units import NS_PER_S
-from acquire.daemon.clock_watch import TimeWatch
+from acquire.daemon.clock_watch import ClockWatch
 from acquire.simulation import Renderer, build_scene
 from acquire.sweep.checks.light_monitor import LightMonitor
 
@@ -79,7 +79,7 @@ def test_a_frame_that_is_taken_again_in_steady_light_raises_no_alarm(render, los
 
 
 def test_a_frozen_process_and_a_clock_that_jumps_are_told_apart():
-    watch = TimeWatch()
+    watch = ClockWatch()
     assert watch.update(0, 5) == []
     assert watch.update(NS_PER_S // 2, 5) == []
     assert watch.update(6 * NS_PER_S, 5) == [("F02", 5.5)]
