@@ -63,7 +63,7 @@ class Session:
             with RigClient(where, timeout_s=timeout_s, client=my_name_at_a_terminal()) as client:
                 yield client
 
-    def request(self, name: str, **args: Any) -> dict[str, Any]:
+    def request(self, name: str, /, **args: Any) -> dict[str, Any]:
         """The daemon's reply to one command (raises CommandRefusedError, NoServiceError)."""
         with self.client() as client:
             return client.request(name, **args).result
