@@ -24,8 +24,7 @@ from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NA
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader, read_marks
 from acquire.contract.units import UM_PER_MM
-from acquire.sweep.checks.overlap import OverlapLimits
-from acquire.sweep.settings import ResumeFrom
+from acquire.sweep.settings import OverlapLimits, ResumeFrom
 
 from .scan_setup import PreparedScan, check_travel, sweep_settings, window_slots
 

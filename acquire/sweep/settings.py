@@ -11,8 +11,19 @@ from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
 from acquire.contract.units import ns_from_ms
 from acquire.stages.protocol import Segment
-from acquire.sweep.checks.overlap import OverlapLimits
 from acquire.sweep.pairing import Spacing
+
+
+@dataclass(frozen=True)
+class OverlapLimits:
+    """Differences up to which the rig counts as unmoved after an interruption."""
+
+    stage_steps: float = 1.2
+    """Microsteps; noise makes up a tenth of one."""
+    specimen_px: float = 0.35
+    """Pixels in the image; noise makes up a fiftieth of one."""
+    brightness: float = 0.05
+    """Relative change of the light."""
 
 
 @dataclass(frozen=True)

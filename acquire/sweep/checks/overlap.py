@@ -16,20 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.sweep.settings import OverlapLimits
+
 SMOOTHING_PX = 2.0
 """Standard deviation of the Gaussian over which noise is averaged, in pixels."""
-
-
-@dataclass(frozen=True)
-class OverlapLimits:
-    """What is still taken for the same place."""
-
-    stage_steps: float = 1.2
-    """Microsteps; noise makes up a tenth of one."""
-    specimen_px: float = 0.35
-    """Pixels in the image; noise makes up a fiftieth of one."""
-    brightness: float = 0.05
-    """Relative change of the light."""
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from acquire.contract.messaging.messages import AckItem, EndAck, FrameFormat, Na
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
 from acquire.sweep.actions import RaiseFault
-from acquire.sweep.checks.overlap import OverlapLimits
 from acquire.sweep.events import PauseRequested, Refused, ResumeRequested, StopRequested, Tick, WriterReady
 from acquire.sweep.phases import Phase
-from acquire.sweep.settings import ResumeFrom
+from acquire.sweep.settings import OverlapLimits, ResumeFrom
 from tests.unit.sweep_bench import MS, Bench, bench, done, settings
 
 

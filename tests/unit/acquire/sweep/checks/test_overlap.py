@@ -7,7 +7,8 @@ import pytest
 
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
-from acquire.sweep.checks.overlap import Overlap, OverlapLimits, compare_overlap, overlap_picture
+from acquire.sweep.checks.overlap import Overlap, compare_overlap, overlap_picture
+from acquire.sweep.settings import OverlapLimits
 
 WIDTH, HEIGHT, PITCH, FRAME = 256, 192, 3, 240
 LIMITS = OverlapLimits(specimen_px=2.5 / 26.6)
