@@ -19,6 +19,17 @@ def steps_to_um(position_steps: int, um_per_microstep: float) -> float:
     return position_steps * um_per_microstep
 
 
+def nice_length(length: float, *, above: bool = False) -> float:
+    """1, 2 or 5 times a power of ten: the largest that is not above ``length``, or the smallest not below it."""
+    length = max(length, 1e-12)
+    power = 10.0 ** math.floor(math.log10(length))
+    nice = [step * power for step in (1, 2, 5, 10)]
+    # the tolerances keep a length that is nice but for rounding where it is
+    if above:
+        return next(step for step in nice if step >= length * 0.999)
+    return max(step for step in nice if step <= length * 1.0001)
+
+
 def format_duration(duration_s: float | None) -> str:
     """``h:mm:ss`` of a duration in seconds, rounded up to the second; ``-:--:--`` where it is not known."""
     if duration_s is None or not math.isfinite(duration_s):

@@ -15,8 +15,8 @@ from acquire.contract.units import NS_PER_S, format_bytes, format_duration
 from process.html_templates import render
 from process.viewer.rig_client.commands import CommandNote
 from process.viewer.rig_client.feed import Snapshot
+from process.viewer.stream.browser_stream import StreamStats
 from process.viewer.stream.colouring import PROVISIONAL_RGB, Legend
-from process.viewer.stream.streams import LinkNews
 
 from .status_text import heading, remarks, saved_line, scan_name
 
@@ -34,7 +34,7 @@ class SceneFacts:
     """1: all points are shown; n: one of n, spread evenly."""
     floor_cell_mm: float = 0.0
     """Side of a cell of the floor; 0: there is none."""
-    links: tuple[LinkNews, ...] = ()
+    streams: tuple[StreamStats, ...] = ()
     """One for each browser."""
     opened: str = ""
     """The older scan that is shown instead of the rig's; empty: the rig's."""
@@ -131,12 +131,12 @@ def _flaws(status: Status) -> str:
 
 def _drawing(scene: SceneFacts) -> list[tuple[str, str]]:
     rows = [("Floor, z = 0", f"{scene.floor_cell_mm:g} mm cells")] if scene.floor_cell_mm else []
-    if scene.links:
-        rows.append(("Browsers", _links_words(scene.links)))
+    if scene.streams:
+        rows.append(("Browsers", _streams_text(scene.streams)))
     return rows
 
 
-def _links_words(links: tuple[LinkNews, ...]) -> str:
-    sent = format_bytes(sum(link.bytes_per_s for link in links))
-    slow = sum(link.slow for link in links)
-    return f"{len(links)}, {sent}/s" + (f", {slow} slow: overview first" if slow else "")
+def _streams_text(streams: tuple[StreamStats, ...]) -> str:
+    sent = format_bytes(sum(stream.bytes_per_s for stream in streams))
+    slow = sum(stream.slow for stream in streams)
+    return f"{len(streams)}, {sent}/s" + (f", {slow} slow: overview first" if slow else "")

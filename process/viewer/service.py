@@ -1,4 +1,4 @@
-"""Owns the viewer process: lock, page, feed and commands; puts news on the page in turns until it is told to end."""
+"""The viewer process: lock, page, feed and commands; a loop keeps the page up to date until it is told to end."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from acquire.contract.process.logs import is_journal
 from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from process.viewer.panels.camera_panel import CameraPanel
-from process.viewer.panels.measuring import Measuring
+from process.viewer.panels.measure_panel import MeasurePanel
 from process.viewer.panels.rig_panel import RigPanel
 from process.viewer.panels.scans_panel import ScansPanel
-from process.viewer.panels.status_panel import Panel
+from process.viewer.panels.status_panel import StatusPanel
 from process.viewer.panels.view_panel import ViewPanel
 from process.viewer.rig_client.commands import CommandThread
 from process.viewer.rig_client.feed import FeedThread, Snapshot
-from process.viewer.scene.scene import RigShown, Scene
-from process.viewer.server.access_control import Gate
-from process.viewer.server.guarded_server import Page, close_page, listen, open_page
-from process.viewer.stream.colouring import Look
+from process.viewer.scene.scene import RigShown, ViewerScene
+from process.viewer.server.access_control import AccessControl
+from process.viewer.server.guarded_server import GuardedServer, listen, start_server, stop_server
+from process.viewer.stream.colouring import ViewSettings
 
 TURN_S = 0.04
-"""Least time between two turns: the words on the page are never older than this and a little."""
-PICTURE_NS = 500_000_000
-"""Least time between two changes of the picture: drawing is what keeps a browser from showing newer words."""
+"""Least time between two turns: the texts on the page are never older than this and a little."""
+DRAW_NS = 500_000_000
+"""Least time between two changes of the scene: drawing is what keeps a browser from showing newer texts."""
 BEAT_S = 0.5
 """Longest time between two turns, for the clock and the ages on the page."""
 URL_FILE = "viewer.url"
@@ -53,7 +53,7 @@ def run_viewer(
     Raises:
         AlreadyRunningError: another viewer holds the lock.
         ConfigError: the port is taken, or the run directory cannot be used.
-        GuardError: the page would be open to strangers.
+        AccessControlError: the page would be open to strangers.
     """
     stop = threading.Event()
     wake = threading.Event()
@@ -76,114 +76,107 @@ class Viewer:
         settings = config.rig.viewer
         self._clock = MonotonicClock()
         self._wake = wake
-        self._gate = Gate(settings.host)
+        self._access = AccessControl(settings.host)
         listener = listen(settings.host, settings.port if port is None else port)
-        self._page: Page = open_page(self._gate, listener, max_bytes_per_s=settings.max_bytes_per_s)
-        self.url = address(self._gate, self._page.get_port())
-        view_only = self._gate.view_only
-        self._controls: RigPanel | None = None
-        self._view: ViewPanel | None = None
-        self._measuring: Measuring | None = None
-        self._camera: CameraPanel | None = None
-        self._scans: ScansPanel | None = None
-        self._watching = False
-        self._panel = Panel(self._page, view_only=view_only)
-        self._commands = None if view_only else CommandThread(run_dir, config.rig.limits.command_s, wake.set)
-        if self._commands is not None:
-            self._controls = RigPanel(self._page, self._commands)
-        tabs = None if view_only else self._page.gui.add_tab_group()
-        if tabs is not None and self._controls is not None:
-            with tabs.add_tab("Rig"):
-                self._controls.fill()
-        look = Look(max_points=settings.max_points)
-        self._scene = Scene(self._page, look, self._clock, config.rig.reconstruct.calibration)
-        if tabs is not None:
-            with tabs.add_tab("View"):
-                self._view = ViewPanel(self._page, self._scene.framing, settings.max_points)
-            with tabs.add_tab("Camera"):
-                self._camera = CameraPanel(self._page)
-            with tabs.add_tab("Measure"):
-                self._measuring = Measuring(self._page, self._scene.cloud, wake.set)
-            with tabs.add_tab("Scans"):
-                self._scans = ScansPanel(self._page, config.data_dir, self._scene.delivery, wake.set)
+        self._server = start_server(self._access, listener, settings.max_bytes_per_s)
+        self.url = address(self._access, self._server.get_port())
+        self._status = StatusPanel(self._server, view_only=self._access.view_only)
+        self._view_settings = ViewSettings(max_points=settings.max_points)
+        self._scene = ViewerScene(self._server, self._view_settings, self._clock, config.rig.reconstruct.calibration)
+        self._controls = None if self._access.view_only else _Controls(self._server, self._scene, config, run_dir, wake)
         self._feed = FeedThread(run_dir, wake, self._clock)
-        self._pictured_ns = 0
+        self._watching = False
+        self._drawn_ns = 0
 
     def __enter__(self) -> Viewer:
         self._turn()
         self._feed.start()
-        if self._commands is not None:
-            self._commands.start()
-        self._gate.arm()
+        if self._controls is not None:
+            self._controls.commands.start()
+        self._access.arm()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._feed.close()
-        if self._commands is not None:
-            self._commands.close()
-        close_page(self._page)
-        if self._scans is not None:
-            self._scans.close()
+        if self._controls is not None:
+            self._controls.commands.close()
+        stop_server(self._server)
+        if self._controls is not None:
+            self._controls.scans.close()
 
     def run(self, stop: threading.Event) -> None:
-        """Put news on the page until ``stop`` is set (and ``wake`` with it)."""
+        """Keep the page up to date until ``stop`` is set (and ``wake`` with it)."""
         notifier = Notifier()
         notifier.ready("the page is served")
         while not stop.is_set():
-            self._wake.wait(TURN_S if self._scene.delivery.pending else BEAT_S)
+            self._wake.wait(TURN_S if self._scene.streams.pending else BEAT_S)
             self._wake.clear()
             self._turn()
             notifier.alive()
             stop.wait(TURN_S)
 
     def _turn(self) -> None:
-        now_ns = self._clock.now_ns()
-        snapshot = self._feed.snapshot()
-        if now_ns - self._pictured_ns >= PICTURE_NS:
-            self._pictured_ns = now_ns
+        now_ns, snapshot, controls = self._clock.now_ns(), self._feed.snapshot(), self._controls
+        if now_ns - self._drawn_ns >= DRAW_NS:
+            self._drawn_ns = now_ns
             self._draw(snapshot, now_ns)
-        if self._view is not None:
-            self._scene.look(self._view.look, now_ns)
-        if self._measuring is not None and self._scans is not None:
-            self._measuring.forget(self._scans.title)
-            self._measuring.turn(self._scans.pickable, self._scene.eye_mm)
-        self._scene.delivery.turn(now_ns)
-        opened = self._scans.opened if self._scans is not None else None
+        self._scene.apply(self._view_settings if controls is None else controls.view.settings, now_ns)
         facts = self._scene.facts
-        self._panel.show(snapshot, now_ns, replace(facts, opened=opened.entry.label) if opened else facts)
-        if self._controls is not None:
-            self._controls.show(snapshot, now_ns)
+        if controls is not None:
+            shown = controls.scans.shown
+            controls.measure.forget(shown.title)
+            controls.measure.turn(shown.pickable(self._scene.nodes.tiles), self._scene.eye_mm)
+            facts = replace(facts, opened=shown.opened.entry.label if shown.opened is not None else "")
+            controls.rig.show(snapshot, now_ns)
+        self._scene.streams.turn(now_ns)
+        self._status.show(snapshot, now_ns, facts)
 
     def _draw(self, snapshot: Snapshot, now_ns: int) -> None:
         """What costs a browser something: points, picture, lines."""
-        watched = bool(self._page.get_clients())
-        self._watch(watched)
-        news, opened = self._feed.take_tiles(), None
-        if self._scans is not None:
-            self._scans.turn(snapshot, now_ns, watched=watched)
-            news = self._scans.news(news)
-            opened = self._scans.opened.entry.folder if self._scans.opened is not None else None
-        pixels = self._feed.take_pixels()
-        shown = self._camera.shown if self._camera is not None else RigShown()
-        self._scene.show(snapshot, news, pixels, shown, opened)
-        if self._camera is not None:
-            self._camera.show(snapshot, now_ns, pixels)
-        if self._view is not None:
-            self._view.show(self._scene.cloud)
-
-    def _watch(self, wanted: bool) -> None:
-        """Camera pictures only while somebody looks at the page."""
-        if wanted != self._watching:
-            self._watching = wanted
-            self._feed.watch(wanted)
+        watched = bool(self._server.get_clients())
+        if watched != self._watching:
+            self._watching = watched
+            self._feed.watch(watched)  # camera pictures only while a browser shows the page
+        changes, pixels = self._feed.take_tiles(), self._feed.take_pixels()
+        controls = self._controls
+        if controls is None:
+            self._scene.show(snapshot, changes, pixels, RigShown())
+            return
+        controls.scans.turn(snapshot, now_ns, watched=watched)
+        shown = controls.scans.shown
+        opened = shown.folder if shown.opened is not None else None
+        self._scene.show(snapshot, shown.changes(changes), pixels, controls.camera.shown, opened)
+        controls.camera.show(snapshot, now_ns, pixels)
+        controls.view.show(self._scene.nodes)
 
 
-def address(gate: Gate, port: int) -> str:
+class _Controls:
+    """What only a page that is bound to loopback has: the commands, and the panels in tabs."""
+
+    def __init__(
+        self, server: GuardedServer, scene: ViewerScene, config: LoadedConfig, run_dir: Path, wake: threading.Event
+    ) -> None:
+        self.commands = CommandThread(run_dir, config.rig.limits.command_s, wake.set)
+        self.rig = RigPanel(server, self.commands)
+        tabs = server.gui.add_tab_group()
+        with tabs.add_tab("Rig"):
+            self.rig.fill()
+        with tabs.add_tab("View"):
+            self.view = ViewPanel(server, scene.camera_views, config.rig.viewer.max_points)
+        with tabs.add_tab("Camera"):
+            self.camera = CameraPanel(server)
+        with tabs.add_tab("Measure"):
+            self.measure = MeasurePanel(server, scene.nodes, wake.set)
+        with tabs.add_tab("Scans"):
+            self.scans = ScansPanel(server, config.data_dir, scene.streams, wake.set)
+
+
+def address(access: AccessControl, port: int) -> str:
     """The address with the token, as it is printed."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(gate.bound_host, gate.bound_host)  # noqa: S104
+    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(access.bound_host, access.bound_host)  # noqa: S104
     if ":" in host and not host.startswith("["):
         host = f"[{host}]"
-    return f"http://{host}:{port}/?token={gate.token}"
+    return f"http://{host}:{port}/?token={access.token}"
 
 
 def announce(url: str, run_dir: Path) -> None:
@@ -191,13 +184,13 @@ def announce(url: str, run_dir: Path) -> None:
     target = run_dir / URL_FILE
     mode = 0o640 if run_dir.stat().st_mode & 0o010 else 0o600
     replace_file(target, f"{url}\n".encode("ascii"), mode=mode)
-    # what stands in the journal is read by more people than the file is
+    # more people can read the journal than the file
     print(f"the address of the page is in {target}" if is_journal(sys.stdout) else url, flush=True)
 
 
 @contextlib.contextmanager
 def _ending_on_signals(stop: threading.Event, wake: threading.Event) -> Iterator[None]:
-    """SIGTERM and SIGINT set ``stop``; elsewhere than in the main thread signals are somebody else's."""
+    """SIGTERM and SIGINT set ``stop``; outside of the main thread signals are left alone."""
 
     def end(_number: int, _frame: FrameType | None) -> None:
         stop.set()

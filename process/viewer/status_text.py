@@ -1,4 +1,4 @@
-"""Pure: what the page says about a snapshot, in plain words with a glyph, never by colour alone."""
+"""What the page says about the state of the rig: plain words with a sign, never colour alone. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from acquire.contract.units import NS_PER_S, format_duration
 from process.viewer.rig_client.feed import Peer, Snapshot
 
 SILENT_NS = 2 * NS_PER_S
-"""The daemon speaks five times a second; silence for so long is said on the page."""
+"""The daemon sends five statuses a second; after so long without one the page says so."""
 WORKER_SILENT_NS = 5 * NS_PER_S
 WORKER_LAG_FRAMES = 2
 
@@ -50,9 +50,9 @@ def heading(snapshot: Snapshot, now_ns: int) -> Heading:
     if not daemon.connected:
         return Heading("◌", "not connected – retrying", live=False)
     if status is None:
-        return Heading("◌", "connected, waiting for the first word", live=False)
+        return Heading("◌", "connected, waiting for the first status", live=False)
     if now_ns - daemon.heard_ns > SILENT_NS:
-        return Heading("◌", f"no word from the rig for {_seconds(now_ns - daemon.heard_ns)}", live=False)
+        return Heading("◌", f"no status from the rig for {_seconds(now_ns - daemon.heard_ns)}", live=False)
     words = WORDS.get(status.state, status.state)
     if status.state == State.HOLDING and status.hold_reason:
         words = f"holding: {status.hold_reason}"
@@ -96,7 +96,7 @@ def _about_worker(snapshot: Snapshot, now_ns: int) -> list[Remark]:
         behind = status.committed - 1 - (progress.folded_through if progress is not None else -1)
         if behind > WORKER_LAG_FRAMES:
             since = f" for {_seconds(now_ns - worker.heard_ns)}" if worker.heard_ns else ""
-            found.append(Remark("warning", f"No word from the worker{since}; the cloud is {behind} frames behind."))
+            found.append(Remark("warning", f"No message from the worker{since}; the cloud is {behind} frames behind."))
     if progress is not None and progress.message and status is not None and status.scan_path:
         found.append(Remark("note", f"Worker: {progress.message}"))
     return found

@@ -27,10 +27,10 @@ class RigClient:
     """A client of the command and status lanes; use it in a ``with`` block and in one thread."""
 
     def __init__(self, run_dir: Path, *, timeout_s: float = 5.0, client: str = "") -> None:
-        """Connect to the daemon in ``run_dir``; ``client`` is who asks, in words.
+        """Connect to the daemon in ``run_dir``; ``client`` is the name of this client.
 
         Raises:
-            NoServiceError: nobody listens there.
+            NoServiceError: no daemon answers there.
         """
         if not is_served(run_dir):
             raise NoServiceError(

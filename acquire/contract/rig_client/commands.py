@@ -1,6 +1,6 @@
 """Commands on their way to the daemon: sent, sent once more, then answered or given up. Pure but for the clock.
 
-A command that waited for a daemon to come back would move the stage when nobody expects it. So a command goes to a
+A command that waited for a daemon to come back would move the stage unexpectedly. So a command goes to a
 daemon that is there now or is refused, and one that waited too long because this process was frozen is not sent.
 STOP alone is sent however late it is, and to a daemon that is silent.
 """
@@ -59,7 +59,7 @@ class CommandSender(Protocol):
     """The sending half of a command socket: :class:`acquire.contract.messaging.lanes.Sender`."""
 
     def send(self, message: Command, *, sent_mono_ns: int) -> bool:
-        """Hand the command over without blocking; False if nobody is connected."""
+        """Hand the command over without blocking; False if no daemon is connected."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class CommandClient:
             self._repeat(sender, now_ns)
 
     def take(self, reply: Reply) -> None:
-        """A reply came; one that nobody waits for any more is passed over."""
+        """A reply came; one that is not waited for any more is ignored."""
         pending = self._pending.pop(reply.request_id, None)
         if pending is not None:
             state = CommandState.DONE if reply.ok else CommandState.REFUSED

@@ -50,7 +50,7 @@ class RigFeed:
             socket.connect(endpoint(run_dir, lane))
 
     def want_pictures(self, wanted: bool) -> None:
-        """Subscribe to camera pictures, or no longer: the daemon makes none that nobody looks at."""
+        """Subscribe to camera pictures, or no longer: the daemon makes none without a subscriber."""
         if wanted != self._pictures_wanted:
             self._pictures_wanted = wanted
             self.sockets["preview"].setsockopt(zmq.SUBSCRIBE if wanted else zmq.UNSUBSCRIBE, b"")

@@ -1,4 +1,4 @@
-"""Owns the pictures of a scan's page: maps, a cross-section to scale, histograms. Pure: results in, figures out."""
+"""The pictures of a scan's page: maps, a cross-section to scale, histograms. Pure: results in, figures out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy.typing import NDArray
 
-from acquire.contract.units import UM_PER_MM
+from acquire.contract.units import UM_PER_MM, nice_length
 from process.crossings.quality import Quality
 
 from .load import ScanResults
@@ -182,7 +182,6 @@ def _from_the_side(points: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[n
 def _scale_bar(axes: Any, extent_mm: float) -> None:
     """A bar of a round length, at most a quarter of the picture."""
     most = max(extent_mm / 4, 1e-6)
-    decade = 10.0 ** np.floor(np.log10(most))
-    length = float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= most))
+    length = nice_length(most)
     text = f"{length:g} mm" if length >= 0.1 else f"{length * UM_PER_MM:g} um"
     axes.add_artist(AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.5, size_vertical=length / 40))

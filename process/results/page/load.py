@@ -1,4 +1,4 @@
-"""Owns reading what a reconstruction left: maps, cloud and report as one value, checked to belong together."""
+"""Reads what a reconstruction left: maps, cloud and report as one value, checked to belong together."""
 
 from __future__ import annotations
 

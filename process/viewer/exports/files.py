@@ -1,4 +1,4 @@
-"""Own the content of the files that people take away from the page."""
+"""Names and contents of the files that people take away from the page."""
 
 from __future__ import annotations
 
@@ -10,30 +10,22 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 
-from .exports import View, page_html, ply_bytes
+from .offline_page import page_html
+from .shown_cloud import ShownCloud, ply_bytes
 
 BACKGROUND = 20.0
 """Grey of the page behind the scene."""
 
 
-def on_black(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A rendering [h, w, 3 or 4] RGB(A) as BGR before the dark that the page shows behind it."""
-    if pixels.shape[2] == 3:
-        return np.ascontiguousarray(pixels[:, :, ::-1])
-    share = pixels[:, :, 3:] / 255.0
-    mixed = share * pixels[:, :, 2::-1] + (1 - share) * BACKGROUND
-    return mixed.astype(np.uint8)
-
-
-def file_of(kind: str, view: View) -> tuple[str, bytes]:
-    """Name and content of an export."""
+def file_of(kind: str, shown: ShownCloud) -> tuple[str, bytes]:
+    """Name and content of an export: ``PLY``, ``3D page`` or ``Figure``."""
     if kind == "PLY":
-        return f"{view.title}.ply", ply_bytes(view.tiles)
+        return f"{shown.title}.ply", ply_bytes(shown.tiles)
     if kind == "3D page":
-        return f"{view.title}.html", page_html(view).encode()
+        return f"{shown.title}.html", page_html(shown).encode()
     from .figure import figure_png  # noqa: PLC0415 - matplotlib takes half a second, and few ask for a figure
 
-    return f"{view.title}.png", figure_png(view)
+    return f"{shown.title}.png", figure_png(shown)
 
 
 def report_of(folder: Path | None) -> bytes:
@@ -51,5 +43,9 @@ def report_of(folder: Path | None) -> bytes:
 
 
 def screenshot_of(pixels: NDArray[np.uint8]) -> bytes:
-    """A rendering [h, w, 3 or 4] RGB(A) as PNG."""
-    return cv2.imencode(".png", on_black(pixels))[1].tobytes()
+    """A rendering [h, w, 3 or 4] RGB(A) as PNG, on the dark that the page shows behind it."""
+    bgr = pixels[:, :, 2::-1]
+    if pixels.shape[2] == 4:
+        share = pixels[:, :, 3:] / 255.0
+        bgr = (share * bgr + (1 - share) * BACKGROUND).astype(np.uint8)
+    return cv2.imencode(".png", np.ascontiguousarray(bgr))[1].tobytes()

@@ -1,4 +1,4 @@
-"""Owns the look into the folder of scans: which have a cloud, and their points as tiles. Reads only."""
+"""The folder of scans as the page lists it: which have a cloud, what is known of them, their points. Reads only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TILE_POINTS = 6_000
 
 
 @dataclass(frozen=True)
-class Entry:
+class ScanEntry:
     """One scan with a cloud."""
 
     folder: Path
@@ -40,14 +40,14 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Opened:
+class OpenedScan:
     """A scan that is shown instead of the rig's."""
 
-    entry: Entry
+    entry: ScanEntry
     tiles: dict[int, Tile]
 
 
-def list_scans(data_dir: Path) -> list[Entry]:
+def list_scans(data_dir: Path) -> list[ScanEntry]:
     """Scans that have a cloud, newest first; what cannot be read is left out."""
     try:
         folders = sorted((path for path in data_dir.iterdir() if path.is_dir()), key=lambda path: path.name)
@@ -57,25 +57,45 @@ def list_scans(data_dir: Path) -> list[Entry]:
     return [_entry(folder) for folder in reversed(with_cloud[-MOST_LISTED:])]
 
 
-def _entry(folder: Path) -> Entry:
+def _entry(folder: Path) -> ScanEntry:
     report = find_report(folder)
-    return Entry(folder, folder.name, report.outcome if report else "", report.points if report else None)
+    return ScanEntry(folder, folder.name, report.outcome if report else "", report.points if report else None)
 
 
-def open_scan(entry: Entry) -> Opened:
-    """Read the cloud of a scan.
+def facts_of(folder: Path | None) -> list[tuple[str, str]]:
+    """Outcome, numbers and settings of a scan by name, as its report has them."""
+    report = find_report(folder) if folder is not None else None
+    if report is None:
+        return [("Outcome", "still running")]
+    facts = [("Outcome", report.outcome or "still running")]
+    values, names = report.counts | report.settings, ("frames", "missing", "points", "method", "contrast", "edge")
+    facts += [(name.capitalize(), str(values[name])) for name in names if name in values]
+    return [*facts, ("Digest", report.digest[:16])] if report.digest else facts
+
+
+def open_scan(entry: ScanEntry) -> OpenedScan:
+    """Read a scan to show it.
+
+    Raises:
+        ScanFileError: as :func:`read_tiles`.
+    """
+    return OpenedScan(entry, read_tiles(entry.folder))
+
+
+def read_tiles(folder: Path) -> dict[int, Tile]:
+    """The cloud of a scan, grouped by where the points are, seen from above.
 
     Raises:
         ScanFileError: there is none, or it is not one of ours.
     """
-    path = entry.folder / CLOUD_NAME
+    path = folder / CLOUD_NAME
     vertices = read_vertices(path, instead="'sweepscope reconstruct' makes it anew")
     missing = [name for name in VERTEX.names or () if name not in (vertices.dtype.names or ())]
     if missing:
         raise ScanFileError(f"{path} has no {', '.join(missing)}: it is not one of our clouds")
     if len(vertices) > MAX_POINTS:
         raise ScanFileError(f"{path} has {len(vertices):,} points; the page shows up to {MAX_POINTS:,}")
-    return Opened(entry, _tiles(vertices))
+    return _tiles(vertices)
 
 
 def _tiles(vertices: NDArray[np.void]) -> dict[int, Tile]:

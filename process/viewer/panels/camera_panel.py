@@ -1,4 +1,4 @@
-"""Owns the camera's newest picture beside the scene, and which parts of the rig are drawn in it."""
+"""The camera's newest picture beside the scene, and which parts of the rig are drawn in the scene."""
 
 from __future__ import annotations
 

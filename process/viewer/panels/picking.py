@@ -1,4 +1,4 @@
-"""Pure: which point a ray means, what is known of it, and distances between points with their uncertainty."""
+"""Which point of the cloud a click means, what is known of it, distances with their uncertainty, sections. Pure."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.units import UM_PER_MM
-from process.viewer.rig_client.tile import Bounds, Tile
+from process.crossings.quality import Quality
+from process.viewer.rig_client.tile import BoundingBox, Tile
 
 NEAR_PX = 7.0
 """A click means a point within so many screen pixels."""
 DEPTH = 6.0
 """Of the points that the ray passes, those behind the first by more than so many tolerances are hidden."""
-QUALITY_WORDS = (
-    (1, "lit at the start"),
-    (2, "plateau not reached"),
-    (4, "no dark level"),
-    (8, "saturated"),
-    (16, "several crossings"),
-    (32, "resolved from the file"),
-    (64, "next to a missing frame"),
-    (128, "filtered"),
-)
+QUALITY_WORDS = {
+    Quality.LIT_AT_START: "lit at the start",
+    Quality.PLATEAU_NOT_REACHED: "plateau not reached",
+    Quality.NO_DARK_LEVEL: "no dark level",
+    Quality.SATURATED: "saturated",
+    Quality.SEVERAL: "several crossings",
+    Quality.FROM_FILE: "resolved from the file",
+    Quality.MISSING_NEIGHBOUR: "next to a missing frame",
+    Quality.FILTERED: "filtered",
+    Quality.OTHER_LIGHT: "in another light",
+}
 
 
 @dataclass(frozen=True)
 class Ray:
-    """Where somebody clicked."""
+    """A click: the line of sight through the clicked pixel."""
 
     origin_mm: tuple[float, float, float]
     direction: tuple[float, float, float]
@@ -40,7 +42,7 @@ class Ray:
 
 
 @dataclass(frozen=True)
-class Picked:
+class PickedPoint:
     """A point of the cloud."""
 
     xyz_mm: tuple[float, float, float]
@@ -73,8 +75,8 @@ class Length:
 class Distance:
     """From one picked point to another."""
 
-    first: Picked
-    second: Picked
+    first: PickedPoint
+    second: PickedPoint
 
     @property
     def _delta_mm(self) -> NDArray[np.float64]:
@@ -118,8 +120,8 @@ class Profile:
 
 
 def pick(
-    tiles: Iterable[Tile], ray: Ray, least_mm: float, eye_mm: NDArray[np.float64] | None, box: Bounds | None = None
-) -> Picked | None:
+    tiles: Iterable[Tile], ray: Ray, least_mm: float, eye_mm: NDArray[np.float64] | None, box: BoundingBox | None = None
+) -> PickedPoint | None:
     """The frontmost point within a few screen pixels of the ray (or ``least_mm``); None where there is none.
 
     Args:
@@ -170,14 +172,14 @@ def _hits(
     return (tile.where(near), along[near], off[near]) if near.size else None
 
 
-def _picked(tile: Tile, index: int, eye_mm: NDArray[np.float64] | None) -> Picked:
+def _picked(tile: Tile, index: int, eye_mm: NDArray[np.float64] | None) -> PickedPoint:
     point = tile.xyz[index].astype(np.float64) + np.asarray(tile.origin_mm)
     along = None
     if eye_mm is not None:
         ray = point - eye_mm
         unit = ray / float(np.linalg.norm(ray))
         along = (float(unit[0]), float(unit[1]), float(unit[2]))
-    return Picked(
+    return PickedPoint(
         xyz_mm=(float(point[0]), float(point[1]), float(point[2])),
         sigma_um=float(tile.sigma_um[index]),
         crossing=float(tile.crossing[index]),
@@ -191,7 +193,7 @@ def quality_words(quality: int | None) -> str:
     """The quality bits in words."""
     if quality is None:
         return "not known while it is live"
-    return ", ".join(words for bit, words in QUALITY_WORDS if quality & bit) or "good"
+    return ", ".join(words for bit, words in QUALITY_WORDS.items() if quality & bit) or "good"
 
 
 def profile(tiles: Iterable[Tile], distance: Distance, width_mm: float, bins: int = 200) -> Profile | None:

@@ -1,7 +1,7 @@
-"""Owns the buttons that move the rig; only a page that is bound to loopback has them.
+"""The buttons that move the rig; only a page that is bound to loopback has them.
 
 Callbacks are coroutines, so viser runs them one after the other in the order of the clicks; they only enqueue. Each
-one first asks the lease whether this browser may; the daemon asks again.
+one first checks whether this browser may give the command; the daemon checks again.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import viser
 from acquire.contract.messaging.messages import Status
 from process.viewer.markup import note_html, small_html
 from process.viewer.rig_client.commands import CommandThread
+from process.viewer.rig_client.control import BrowserControl
 from process.viewer.rig_client.feed import Snapshot
-from process.viewer.rig_client.lease import Lease
 from process.viewer.status_text import allowed, heading
 
 from .widgets import write
@@ -35,7 +35,7 @@ class RigPanel:
     def __init__(self, server: viser.ViserServer, commands: CommandThread) -> None:
         self._server = server
         self._commands = commands
-        self._lease = Lease()
+        self._control = BrowserControl()
         self._status: Status | None = None
         stop = server.gui.add_button("Stop", icon=viser.Icon.PLAYER_STOP, color="red", hint="Works for everybody")
         self._buttons: dict[str, Any] = {"stop": stop}
@@ -78,7 +78,7 @@ class RigPanel:
             self._buttons["home"] = gui.add_button("Home", icon=viser.Icon.HOME)
             self._preview = gui.add_button_group("Preview", ("On", "Off"))
             self._lamp = gui.add_button_group("Lamp", ("On", "Off"))
-        self._moving = (backward, forward)  # groups of buttons cannot be disabled; the daemon refuses in words
+        self._moving = (backward, forward)  # groups of buttons cannot be disabled; there the daemon refuses
         jog.on_click(self._enqueue("jog", lambda: {"steps": int(jog.value)}))
         for button, direction in ((backward, -1), (forward, 1)):
             button.on_hold(self._enqueue("jog_hold", self._holding(direction)), callback_hz=HOLD_HZ)
@@ -100,9 +100,9 @@ class RigPanel:
     def _enqueue(self, command: str, arguments: Callable[[], dict[str, Any]]) -> Callable[[Any], Any]:
         async def clicked(event: Any) -> None:
             client_id = event.client_id if event.client_id is not None else -1
-            why = self._lease.refusal(self._status, client_id, command)
+            why = self._control.refusal(self._status, client_id, command)
             if not why:
-                self._commands.submit(command, arguments(), client=self._lease.name(client_id))
+                self._commands.submit(command, arguments(), client=self._control.name(client_id))
             elif event.client is not None and command != "jog_hold":
                 event.client.add_notification("Not done", why, auto_close_seconds=REFUSED_S, color="yellow")
 
@@ -111,14 +111,14 @@ class RigPanel:
     async def _change_control(self, event: Any) -> None:
         if event.client is not None:
             action = "take" if event.target.value == "Take control" else "release"
-            self._commands.submit("control", {"action": action}, client=self._lease.name(event.client_id))
+            self._commands.submit("control", {"action": action}, client=self._control.name(event.client_id))
 
     async def _greet(self, client: viser.ClientHandle) -> None:
-        client.gui.add_html(small_html(f"you are {self._lease.name(client.client_id)}"), order=-1e9)
+        client.gui.add_html(small_html(f"you are {self._control.name(client.client_id)}"), order=-1e9)
 
     async def _farewell(self, client: viser.ClientHandle) -> None:
         """A browser that goes away gives control back; a jog that it held ends with its beats."""
-        name = self._lease.name(client.client_id)
+        name = self._control.name(client.client_id)
         if self._status is not None and self._status.control == name:
             self._commands.submit("control", {"action": "release"}, client=name)
 
@@ -135,13 +135,13 @@ class RigPanel:
             write(widget, disabled=not may["jog_hold"])
         write(self._note, content=note_html(self._commands.note, now_ns))
         write(self._holder, content=_holder_html(self._status))
-        client_id = self._lease.renewal(self._status, list(self._server.get_clients()), now_ns)
+        client_id = self._control.renewal(self._status, list(self._server.get_clients()), now_ns)
         if client_id is not None:
-            self._commands.submit("control", {"action": "renew"}, client=self._lease.name(client_id))
+            self._commands.submit("control", {"action": "renew"}, client=self._control.name(client_id))
 
 
 def _holder_html(status: Status | None) -> str:
     holder = status.control if status is not None else ""
     if holder:
         return small_html(" holds control; all others look", strong=holder)
-    return small_html("nobody holds control: all may act")
+    return small_html("no client holds control: all may act")

@@ -1,4 +1,4 @@
-"""Owns the text beside the picture: the state, what is missing, and a clock that proves that the page is alive."""
+"""The text beside the scene: the state, what is missing, and a clock that proves that the page is alive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .widgets import write
 BEAT_NS = NS_PER_S
 
 
-class Panel:
+class StatusPanel:
     """The texts; a view-only page has nothing else."""
 
     def __init__(self, server: viser.ViserServer, *, view_only: bool) -> None:

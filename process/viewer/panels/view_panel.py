@@ -1,4 +1,4 @@
-"""Owns the widgets that say how the cloud is shown; all browsers share them, a camera belongs to one browser alone."""
+"""The widgets for how the cloud is shown; all browsers share them, but each has a camera of its own."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any, Final
 import viser
 
 from process.viewer.markup import legend_html
-from process.viewer.rig_client.tile import Bounds
-from process.viewer.scene.camera_views import VIEWS, Framing
-from process.viewer.stream.colouring import MODES, QUANTITIES, Look, Mode, Range
-from process.viewer.stream.point_nodes import Cloud
+from process.viewer.rig_client.tile import BoundingBox
+from process.viewer.scene.camera_views import VIEWS, CameraViews
+from process.viewer.stream.colouring import MODES, QUANTITIES, ColourMode, ValueRange, ViewSettings
+from process.viewer.stream.point_nodes import PointNodes
 
 from .widgets import write
 
-LABELS: Final[dict[Mode, str]] = {
+LABELS: Final[dict[ColourMode, str]] = {
     "photograph": "Photograph",
     "height": "Height",
     "crossing": "Crossing time",
@@ -34,10 +34,10 @@ ROOM = 0.05
 class ViewPanel:
     """Colours, range, size and number of points, clipping box, views. Callbacks only note; the main loop acts."""
 
-    def __init__(self, server: viser.ViserServer, framing: Framing, max_points: int) -> None:
-        self._framing = framing
-        self._look = Look(max_points=max_points)
-        self._bounds: Bounds | None = None
+    def __init__(self, server: viser.ViserServer, camera_views: CameraViews, max_points: int) -> None:
+        self._camera_views = camera_views
+        self._settings = ViewSettings(max_points=max_points)
+        self._bounds: BoundingBox | None = None
         gui = server.gui
         self._legend = gui.add_html("")
         self._mode = gui.add_dropdown("Colour", [LABELS[mode] for mode in MODES], hint="What the colours show")
@@ -62,20 +62,20 @@ class ViewPanel:
         self._clip.on_update(self._noting(self._note_clip))
 
     @property
-    def look(self) -> Look:
+    def settings(self) -> ViewSettings:
         """What people chose; read by the main loop."""
-        return self._look
+        return self._settings
 
-    def show(self, cloud: Cloud) -> None:
+    def show(self, nodes: PointNodes) -> None:
         """Legend and the ends of the automatic range, as they are now."""
-        self._bounds = cloud.bounds()
-        write(self._legend, content=legend_html(cloud.legend()))
-        if self._automatic.value and cloud.range is not None and self._look.mode != "photograph":
-            self._fill(cloud.range)
+        self._bounds = nodes.bounds()
+        write(self._legend, content=legend_html(nodes.legend()))
+        if self._automatic.value and nodes.range is not None and self._settings.mode != "photograph":
+            self._fill(nodes.range)
 
-    def _fill(self, within: Range) -> None:
+    def _fill(self, within: ValueRange) -> None:
         for widget, value in ((self._low, within.low), (self._high, within.high)):
-            write(widget, value=round(value, QUANTITIES[self._look.mode].decimals))
+            write(widget, value=round(value, QUANTITIES[self._settings.mode].decimals))
 
     def _noting(self, note: Callable[[], None]) -> Callable[[Any], Any]:
         async def updated(_event: Any) -> None:
@@ -85,13 +85,13 @@ class ViewPanel:
 
     def _note(self) -> None:
         mode = next(mode for mode in MODES if LABELS[mode] == self._mode.value)
-        if mode != self._look.mode:
+        if mode != self._settings.mode:
             write(self._automatic, value=True)  # the range of one quantity means nothing for another
         automatic = bool(self._automatic.value) or mode == "photograph"
         for widget in (self._low, self._high):
             write(widget, disabled=automatic)
-        self._look = replace(
-            self._look,
+        self._settings = replace(
+            self._settings,
             mode=mode,
             low=None if automatic else float(self._low.value),
             high=None if automatic else float(self._high.value),
@@ -111,13 +111,13 @@ class ViewPanel:
             write(side, disabled=not on)
         self._note()
 
-    def _box(self) -> Bounds | None:
+    def _box(self) -> BoundingBox | None:
         if not self._clip.value or self._bounds is None:
             return None
         ends = [side.value for side in self._sides]
         low, high = ([float(end[which]) for end in ends] for which in (0, 1))
-        return Bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        return BoundingBox((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
     async def _go_to(self, event: Any) -> None:
         if event.client is not None:
-            self._framing.fit(event.client, "" if event.target.value == "Fit" else str(event.target.value))
+            self._camera_views.fit(event.client, "" if event.target.value == "Fit" else str(event.target.value))

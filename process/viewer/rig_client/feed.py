@@ -58,7 +58,7 @@ class Peer:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that the page says in words, at one moment."""
+    """What is known of the rig at one moment, without points and pixels."""
 
     daemon: Peer = Peer()
     worker: Peer = Peer()
@@ -125,7 +125,7 @@ class FeedThread:
             return self._now
 
     def watch(self, on: bool) -> None:
-        """Ask for camera pictures, or no more: the daemon makes none that nobody looks at."""
+        """Ask for camera pictures, or no more: the daemon makes none without a subscriber."""
         self._watching = on
         os.eventfd_write(self._wake, 1)
 

@@ -1,4 +1,4 @@
-"""Pure: the points of result tiles as arrays ready to draw; checks them, thins them evenly, clips them."""
+"""The points of result tiles as arrays ready to draw: checked, thinned evenly, clipped. Pure."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BOUNDS_QUANTILES = (0.02, 0.98)
 
 
 @dataclass(frozen=True)
-class Bounds:
+class BoundingBox:
     """An axis-parallel box in mm."""
 
     low: tuple[float, float, float]
@@ -42,10 +42,10 @@ class Bounds:
         """Half of the box's diagonal."""
         return float(np.linalg.norm(np.asarray(self.high) - np.asarray(self.low)) / 2)
 
-    def joined(self, other: Bounds) -> Bounds:
+    def joined(self, other: BoundingBox) -> BoundingBox:
         """The smallest box around both."""
         low, high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        return Bounds(_triple(low), _triple(high))
+        return BoundingBox(_triple(low), _triple(high))
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Tile:
             return self
         return self.where((np.arange(self.count) * GOLDEN) % 1.0 < 1.0 / keep_one_of)
 
-    def inside(self, box: Bounds) -> Tile:
+    def inside(self, box: BoundingBox) -> Tile:
         """The points within ``box``, its faces included."""
         low = (np.asarray(box.low) - self.origin_mm).astype(np.float32)
         high = (np.asarray(box.high) - self.origin_mm).astype(np.float32)
@@ -126,13 +126,13 @@ class Tile:
         return self if within.all() else self.where(within)
 
     @cached_property
-    def bounds(self) -> Bounds | None:
+    def bounds(self) -> BoundingBox | None:
         """A box around nearly all points (stray ones left out), None without points."""
         if not self.count:
             return None
         sample = self.xyz[:: max(1, self.count // BOUNDS_SAMPLE)].astype(np.float64) + np.asarray(self.origin_mm)
         low, high = np.quantile(sample, BOUNDS_QUANTILES, axis=0)
-        return Bounds(_triple(low), _triple(high))
+        return BoundingBox(_triple(low), _triple(high))
 
     @cached_property
     def sphere(self) -> tuple[NDArray[np.float64], float]:
@@ -151,6 +151,16 @@ class Tile:
 
 def _triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
     return (float(vector[0]), float(vector[1]), float(vector[2]))
+
+
+NO_POINTS = Tile(
+    (0.0, 0.0, 0.0),
+    np.zeros((0, 3), np.float32),
+    np.zeros((0, 3), np.uint8),
+    np.zeros(0, np.bool_),
+    np.zeros(0, np.float32),
+    np.zeros(0, np.float32),
+)
 
 
 def parse_tiles(message: ResultTiles, payload: bytes | memoryview) -> tuple[dict[int, Tile], int]:
@@ -216,7 +226,7 @@ def power_of_two(total: int, budget: int) -> int:
     return one_of
 
 
-def bounds_of(tiles: Iterable[Tile]) -> Bounds | None:
+def bounding_box_of(tiles: Iterable[Tile]) -> BoundingBox | None:
     """The box around all tiles; those with a handful of stray points count only if there are no others."""
     found = [(tile.count, box) for tile in tiles if (box := tile.bounds) is not None]
     if not found:
@@ -225,4 +235,4 @@ def bounds_of(tiles: Iterable[Tile]) -> Bounds | None:
     boxes = [box for count, box in found if count >= enough]
     low = np.min([box.low for box in boxes], axis=0)
     high = np.max([box.high for box in boxes], axis=0)
-    return Bounds(_triple(low), _triple(high))
+    return BoundingBox(_triple(low), _triple(high))

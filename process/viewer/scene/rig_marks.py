@@ -1,4 +1,4 @@
-"""Owns the rig in the scene: the camera with its newest picture, and the travel of the light with where it is now."""
+"""The rig in the scene: the camera with its newest picture, the travel of the stage, and where it is now."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, CameraModel, TranslatingPlane
 from acquire.contract.messaging.messages import Status
-from process.viewer.rig_client.tile import Bounds
+from process.viewer.rig_client.tile import BoundingBox
 
-from .polylines import camera_eye
+from .geometry import camera_eye
 
 CAMERA_RGB = (150, 165, 185)
 RAIL_RGB = (120, 132, 150)
@@ -42,7 +42,7 @@ class Travel:
     """Shape [3]."""
 
 
-def travel_of(calibration: Calibration, status: Status, bounds: Bounds) -> Travel | None:
+def travel_of(calibration: Calibration, status: Status, bounds: BoundingBox) -> Travel | None:
     """The travel of the stage in the scene; None where the calibration does not tell its direction."""
     light, plan = calibration.light_plane, status.plan
     if not isinstance(light, TranslatingPlane):
@@ -81,7 +81,7 @@ def _corner(light: TranslatingPlane, status: Status) -> NDArray[np.float64]:
     return place
 
 
-def _beside(corner: NDArray[np.float64], velocity: NDArray[np.float64], bounds: Bounds) -> NDArray[np.float64]:
+def _beside(corner: NDArray[np.float64], velocity: NDArray[np.float64], bounds: BoundingBox) -> NDArray[np.float64]:
     """Shift, shape [3], that brings the corner's line beside the box, toward the viewer."""
     along = velocity[:2] / np.linalg.norm(velocity[:2])
     across = np.array([along[1], -along[0]])
@@ -104,7 +104,7 @@ class RigMarks:
         self._stage: Any = None
         self._stage_of: tuple[object, ...] = ()
 
-    def show_camera(self, camera: CameraModel | None, bounds: Bounds, image: NDArray[np.uint8] | None) -> None:
+    def show_camera(self, camera: CameraModel | None, bounds: BoundingBox, image: NDArray[np.uint8] | None) -> None:
         """The frustum from the pinhole to the picture that hangs over the object; a new ``image`` replaces the old."""
         wanted = (camera, bounds) if camera is not None else ()
         if wanted != self._camera_of:
@@ -115,7 +115,7 @@ class RigMarks:
         if image is not None and self._camera is not None:
             self._camera.image = image if image.ndim == 3 else np.repeat(image[:, :, None], 3, axis=2)
 
-    def _make_camera(self, camera: CameraModel, bounds: Bounds) -> viser.CameraFrustumHandle:
+    def _make_camera(self, camera: CameraModel, bounds: BoundingBox) -> viser.CameraFrustumHandle:
         eye, rotation = camera_eye(camera), np.asarray(camera.R)
         focal = camera.K[1][1]
         handle = self._scene.add_camera_frustum(
@@ -137,7 +137,7 @@ class RigMarks:
         handle.scale = depth / handle.compute_canonical_frustum_size()[2]
         return handle
 
-    def show_travel(self, travel: Travel | None, bounds: Bounds, label: str) -> None:
+    def show_travel(self, travel: Travel | None, bounds: BoundingBox, label: str) -> None:
         """The line between the limits, the part that is swept, and the stage on it."""
         rails = (travel.limits.tobytes(), travel.sweep.tobytes() if travel.sweep is not None else b"") if travel else ()
         if rails != self._rails_of:
@@ -161,7 +161,7 @@ class RigMarks:
             for name, ends, colour, width in lines
         ]
 
-    def _move_stage(self, travel: Travel | None, bounds: Bounds, label: str) -> None:
+    def _move_stage(self, travel: Travel | None, bounds: BoundingBox, label: str) -> None:
         if self._stage is not None and travel is None:
             for node in self._stage:
                 node.remove()

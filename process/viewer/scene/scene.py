@@ -1,4 +1,4 @@
-"""Owns the picture: the cloud, the floor with its millimetres, the sheet of light, and where browsers look from."""
+"""The 3D scene: the cloud, the floor with its millimetres, the sheet of light, the rig, and the browsers' cameras."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from acquire.contract.messaging.messages import Status
 from acquire.contract.process.clocks import Clock
 from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import RUNNING_STATES
-from acquire.contract.units import NS_PER_S
+from acquire.contract.units import NS_PER_S, nice_length
 from process.viewer.markup import SceneFacts
 from process.viewer.rig_client.feed import Snapshot, TileChanges
-from process.viewer.rig_client.tile import Bounds
-from process.viewer.server.guarded_server import Page
-from process.viewer.stream.colouring import Look
-from process.viewer.stream.point_nodes import Cloud
-from process.viewer.stream.streams import Delivery
+from process.viewer.rig_client.tile import BoundingBox
+from process.viewer.server.guarded_server import GuardedServer
+from process.viewer.stream.browser_stream import BrowserStreams
+from process.viewer.stream.colouring import ViewSettings
+from process.viewer.stream.point_nodes import PointNodes
 
-from .camera_views import DEFAULT_BOUNDS, Framing
-from .polylines import box_edges, camera_eye, field_of_view, light_at, sheet
+from .camera_views import DEFAULT_BOUNDS, CameraViews
+from .geometry import box_edges, camera_eye, field_of_view, light_at, sheet
 from .rig_marks import RigMarks, travel_of
 
 LIGHT_RGB = (255, 205, 80)
@@ -47,52 +47,52 @@ class RigShown:
     stage: bool = True
 
 
-class Scene:
-    """Brings news into the picture, in turns that a browser can digest."""
+class ViewerScene:
+    """Brings changes into the scene, in turns that a browser can keep up with."""
 
-    def __init__(self, server: Page, look: Look, clock: Clock, calibration: str = "") -> None:
+    def __init__(self, server: GuardedServer, settings: ViewSettings, clock: Clock, calibration: str = "") -> None:
         """``calibration``: path of the rig's own, drawn before the first scan; may be empty."""
         self._server = server
         self._clock = clock
-        self.cloud = Cloud(look)
-        self.delivery = Delivery(server, self.cloud)
-        self.framing = Framing(server, clock)
+        self.nodes = PointNodes(settings)
+        self.streams = BrowserStreams(server, self.nodes)
+        self.camera_views = CameraViews(server, clock)
         self._marks = RigMarks(server)
-        self._book = CalibrationBook(clock, calibration)
-        self._field: Bounds | None = None
+        self._calibrations = CalibrationLookup(clock, calibration)
+        self._field: BoundingBox | None = None
         self._light: tuple[viser.MeshHandle, viser.LineSegmentsHandle] | None = None
         self._light_at: tuple[object, ...] = ()
         self._floor_of: tuple[float, float, float, float] | None = None
         self.eye_mm: NDArray[np.float64] | None = None
         """Where the rig's camera is, shape [3] in mm; None without a calibration."""
-        self._box: Bounds | None = None
+        self._box: BoundingBox | None = None
         self._frame: viser.LineSegmentsHandle | None = None
 
     def show(
         self,
         snapshot: Snapshot,
-        news: TileChanges,
+        changes: TileChanges,
         image: NDArray[np.uint8] | None,
         shown: RigShown,
         opened: Path | None = None,
     ) -> None:
-        """Take what changed, and move light, floor, camera and stage along; the couriers carry the points.
+        """Take what changed, and move light, floor, camera and stage along; the streams bring the points.
 
         Args:
             snapshot: the state of the rig.
-            news: tiles that changed.
+            changes: tiles that changed.
             image: the camera's newest picture; None if there is no new one.
             shown: which parts of the rig are drawn.
             opened: folder of an older scan that is shown instead of the rig's.
         """
-        self.cloud.take(news)
-        calibration = self._book.of(str(opened) if opened is not None else _path(snapshot))
+        self.nodes.take(changes)
+        calibration = self._calibrations.of(str(opened) if opened is not None else _path(snapshot))
         if opened is not None:
             snapshot = replace(snapshot, status=None)  # the rig is not where it was for that scan
         self.eye_mm = camera_eye(calibration.camera) if calibration is not None else None
         self._field = field_of_view(calibration.camera) if calibration is not None else None
         bounds = self._stage_set(snapshot.status)
-        self.framing.follow(bounds)
+        self.camera_views.follow(bounds)
         self._show_floor(bounds or DEFAULT_BOUNDS)
         self._show_light(snapshot, calibration if shown.light else None, bounds or DEFAULT_BOUNDS)
         self._show_rig(snapshot, calibration, image, shown)
@@ -111,15 +111,15 @@ class Scene:
         label = f"stage {status.position_um:,.1f} µm{old}" if status is not None else ""
         self._marks.show_travel(travel, around, label)
 
-    def _stage_set(self, status: Status | None) -> Bounds | None:
+    def _stage_set(self, status: Status | None) -> BoundingBox | None:
         """What to look at: the camera's whole field while the cloud grows in it, afterwards the cloud."""
-        cloud = self.cloud.bounds()
+        cloud = self.nodes.bounds()
         if cloud is None or self._field is None or status is None or status.state not in RUNNING_STATES:
             return cloud or self._field
         return cloud.joined(self._field)
 
-    def _show_floor(self, bounds: Bounds) -> None:
-        cell_mm = nice_length_mm(bounds.radius_mm / 8)
+    def _show_floor(self, bounds: BoundingBox) -> None:
+        cell_mm = nice_length(bounds.radius_mm / 8, above=True)
         section_mm = cell_mm * 5
         span_mm = section_mm * 2 * math.ceil(1.4 * bounds.radius_mm / section_mm)
         centre = np.round(bounds.centre / section_mm) * section_mm
@@ -139,31 +139,31 @@ class Scene:
             fade_distance=span_mm * 4,
         )
 
-    def look(self, look: Look, now_ns: int) -> None:
+    def apply(self, settings: ViewSettings, now_ns: int) -> None:
         """Colours, range, clipping as people want them now."""
-        self.cloud.show(look)
-        self.cloud.settle(now_ns)
-        if look.box == self._box:
+        self.nodes.show(settings)
+        self.nodes.settle(now_ns)
+        if settings.box == self._box:
             return
-        self._box = look.box
+        self._box = settings.box
         if self._frame is not None:
             self._frame.remove()
             self._frame = None
-        if look.box is not None:
+        if settings.box is not None:
             self._frame = self._server.scene.add_line_segments(
-                "/clip", box_edges(look.box), CLIP_RGB, thickness=1.2, thickness_units="screen"
+                "/clip", box_edges(settings.box), CLIP_RGB, thickness=1.2, thickness_units="screen"
             )
 
     @property
     def facts(self) -> SceneFacts:
         """What the page says about the drawing."""
         return SceneFacts(
-            keep_one_of=self.cloud.fine,
+            keep_one_of=self.nodes.fine,
             floor_cell_mm=self._floor_of[0] if self._floor_of is not None else 0.0,
-            links=tuple(self.delivery.news()),
+            streams=tuple(self.streams.stats()),
         )
 
-    def _show_light(self, snapshot: Snapshot, calibration: Calibration | None, bounds: Bounds) -> None:
+    def _show_light(self, snapshot: Snapshot, calibration: Calibration | None, bounds: BoundingBox) -> None:
         status = snapshot.status
         at = (status.position_um, id(calibration), bounds, snapshot.daemon.connected) if status is not None else ()
         if at == self._light_at:
@@ -202,7 +202,7 @@ class Scene:
         )
 
 
-class CalibrationBook:
+class CalibrationLookup:
     """The calibration that the shown scan keeps in its file; looked up once per scan, a few times if not yet there."""
 
     def __init__(self, clock: Clock, before: str = "") -> None:
@@ -240,9 +240,3 @@ def _read_calibration(scan: Path) -> Calibration | None:
         return parse_calibration(text.decode()) if text.strip() else None
     except (SweepscopeError, OSError, UnicodeDecodeError):
         return None  # only the drawing of the light needs it; the worker is the one who refuses
-
-
-def nice_length_mm(length_mm: float) -> float:
-    """1, 2 or 5 times a power of ten, not below ``length_mm``."""
-    power = 10.0 ** math.floor(math.log10(max(length_mm, 1e-6)))
-    return next(float(step * power) for step in (1, 2, 5, 10) if step * power >= length_mm * 0.999)

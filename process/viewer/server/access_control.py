@@ -1,8 +1,8 @@
-"""Owns the door of the page: decides, for each HTTP request, whether it comes from the operator's own page.
+"""Decides for each HTTP request whether it comes from the operator's own page.
 
 The page moves hardware, and a browser lets any web site talk to loopback. So a request passes only if its Host is a
-name of this machine (a rebinding attack arrives with another), its Origin, where there is one, equals its Host (a
-foreign page arrives with its own), and it carries the cookie that the token in the printed address was exchanged for.
+name of this machine (DNS rebinding arrives with another), its Origin, where there is one, equals its Host (a foreign
+page arrives with its own), and it has the cookie that the token in the printed address was exchanged for.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ the file <code>viewer.url</code> beside the sockets, and in the header of the co
 
 
 @dataclass(frozen=True)
-class Visit:
-    """What the guard looks at in one request; headers may come several times, hence the tuples."""
+class PageRequest:
+    """What of one HTTP request is judged; headers may come several times, hence the tuples."""
 
     target: str
     """Path and query as sent."""
@@ -42,8 +42,8 @@ class Visit:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """The answer to a visit: pass, or this response."""
+class AccessDecision:
+    """The request may pass, or this is the response."""
 
     status: HTTPStatus
     text: str = ""
@@ -56,7 +56,7 @@ class Verdict:
         return self.status is HTTPStatus.OK
 
 
-PASS = Verdict(HTTPStatus.OK)
+PASS = AccessDecision(HTTPStatus.OK)
 
 
 def is_loopback(host: str) -> bool:
@@ -96,8 +96,8 @@ def _is_address(host: str) -> bool:
 
 
 @dataclass
-class Gate:
-    """The secrets of one running page and the rules of its door.
+class AccessControl:
+    """The secrets of one running page, and the rules by which requests are judged.
 
     The port in Host is not compared with ours: ``ssh -L`` maps ports, and Origin must repeat whatever Host says.
     """
@@ -123,36 +123,36 @@ class Gate:
 
     @property
     def cookie(self) -> str:
-        """The Cookie header of a visitor who may come in."""
+        """The Cookie header of a browser that may come in."""
         return f"{self.cookie_name}={self.session}"
 
     def arm(self) -> None:
-        """Let visitors in; before this even the own page gets 503, so that nobody sees a half-built page."""
+        """Let requests pass; before this even the own page gets 503, so that nobody sees a half-built page."""
         self._armed.set()
 
-    def decide(self, visit: Visit) -> Verdict:
-        """Judge one request: 403 wrong place, 401 no proof, 302 token exchanged, 503 not ready, else pass."""
-        verdict = self._wrong_place(visit) or self._exchange(visit) or self._unproven(visit)
-        if verdict is None and not self._armed.is_set():
-            verdict = Verdict(HTTPStatus.SERVICE_UNAVAILABLE, "The page is being built; try again.\n")
-        if verdict is None and urlsplit(visit.target).query and not visit.upgrade:
+    def decide(self, request: PageRequest) -> AccessDecision:
+        """403 wrong Host or Origin, 401 no cookie or wrong token, 302 token exchanged, 503 not ready, else pass."""
+        refusal = self._wrong_place(request) or self._exchange(request) or self._without_cookie(request)
+        if refusal is None and not self._armed.is_set():
+            refusal = AccessDecision(HTTPStatus.SERVICE_UNAVAILABLE, "The page is being built; try again.\n")
+        if refusal is None and urlsplit(request.target).query and not request.upgrade:
             # the page's own code obeys query parameters: ?websocket= would connect it to a foreign server
-            verdict = Verdict(HTTPStatus.FOUND, location="/")
-        return verdict or PASS
+            refusal = AccessDecision(HTTPStatus.FOUND, location="/")
+        return refusal or PASS
 
-    def _refuse(self, status: HTTPStatus, reason: str, text: str) -> Verdict:
+    def _refuse(self, status: HTTPStatus, reason: str, text: str) -> AccessDecision:
         self.refused[reason] += 1
-        return Verdict(status, text)
+        return AccessDecision(status, text)
 
-    def _wrong_place(self, visit: Visit) -> Verdict | None:
-        if any(len(text) > MAX_HEADER_TEXT for text in (*visit.hosts, *visit.origins, *visit.cookies)):
+    def _wrong_place(self, request: PageRequest) -> AccessDecision | None:
+        if any(len(text) > MAX_HEADER_TEXT for text in (*request.hosts, *request.origins, *request.cookies)):
             return self._refuse(HTTPStatus.FORBIDDEN, "size", "A header is too long.\n")
-        if len(visit.hosts) != 1 or not self._host_is_ours(visit.hosts[0]):
+        if len(request.hosts) != 1 or not self._host_is_ours(request.hosts[0]):
             return self._refuse(HTTPStatus.FORBIDDEN, "host", "This name is not a name of the rig.\n")
-        if len(visit.origins) > 1 or (visit.upgrade and not visit.origins):
+        if len(request.origins) > 1 or (request.upgrade and not request.origins):
             return self._refuse(HTTPStatus.FORBIDDEN, "origin", "The request does not say where it comes from.\n")
-        own = {f"{scheme}://{visit.hosts[0].lower()}" for scheme in ("http", "https")}
-        if visit.origins and visit.origins[0].lower() not in own:
+        own = {f"{scheme}://{request.hosts[0].lower()}" for scheme in ("http", "https")}
+        if request.origins and request.origins[0].lower() not in own:
             return self._refuse(HTTPStatus.FORBIDDEN, "origin", "The request comes from another page.\n")
         return None
 
@@ -165,17 +165,18 @@ class Gate:
         # a bare address cannot be rebound to another machine, a name can
         return self.view_only and (_is_address(name) or name in _own_names(self.bound_host))
 
-    def _exchange(self, visit: Visit) -> Verdict | None:
-        tokens = parse_qs(urlsplit(visit.target).query).get("token", [])
-        if visit.upgrade or not tokens:
+    def _exchange(self, request: PageRequest) -> AccessDecision | None:
+        tokens = parse_qs(urlsplit(request.target).query).get("token", [])
+        if request.upgrade or not tokens:
             return None
         if len(tokens) != 1 or not hmac.compare_digest(tokens[0].encode(), self.token.encode()):
             return self._refuse(HTTPStatus.UNAUTHORIZED, "token", HELP_PAGE)
-        return Verdict(HTTPStatus.FOUND, location="/", cookie=f"{self.cookie}; Path=/; HttpOnly; SameSite=Strict")
+        cookie = f"{self.cookie}; Path=/; HttpOnly; SameSite=Strict"
+        return AccessDecision(HTTPStatus.FOUND, location="/", cookie=cookie)
 
-    def _unproven(self, visit: Visit) -> Verdict | None:
+    def _without_cookie(self, request: PageRequest) -> AccessDecision | None:
         wanted = self.cookie.encode()
-        sent = (part.strip().encode() for header in visit.cookies for part in header.split(";"))
+        sent = (part.strip().encode() for header in request.cookies for part in header.split(";"))
         if any([hmac.compare_digest(part, wanted) for part in sent]):  # noqa: C419 - looks at all, in constant time
             return None
         return self._refuse(HTTPStatus.UNAUTHORIZED, "cookie", HELP_PAGE)

@@ -1,9 +1,9 @@
-"""Puts the guard in front of viser's web server, and proves at start-up that it stands there.
+"""viser's web server behind access control; at start-up it is checked that strangers are refused.
 
 viser has no hook for this. Its server is made by ``websockets.asyncio.server.serve``; while viser is built, that name
-is replaced by one that asks the guard first and listens on a socket of ours (so viser cannot slide to another port).
-This leans on internals of viser 1.1.1 and websockets 16.1.1: both are pinned, and :func:`prove` refuses to run when
-an upgrade has moved the hinge.
+is replaced by a function that judges each request and listens on a socket of ours (viser would take the next port if
+one is taken). This depends on internals of viser 1.1.1 and websockets 16.1.1: both are pinned, and
+:func:`check_guard` lets nothing be served when an upgrade has changed them.
 """
 
 from __future__ import annotations
@@ -28,31 +28,32 @@ from websockets.http11 import Request, Response
 
 from acquire.contract.errors import ConfigError, SweepscopeError
 
-from .access_control import Gate, Verdict, Visit
-from .connection import Meter, metered
+from .access_control import AccessControl, AccessDecision, PageRequest
+from .rate_meter import RateMeter, metered
 
 MAX_UPLOAD_BYTES = 1024 * 1024
 """Largest message taken from a browser; ours are clicks and camera poses."""
 DEFAULT_BYTES_PER_S = 16_000_000.0
-PROOF_TIMEOUT_S = 10.0
-_EVIL = "https://evil.example"
+CHECK_TIMEOUT_S = 10.0
+FOREIGN_ORIGIN = "https://evil.example"
+_WHAT_TO_DO = "install the pinned viser and websockets"
 
-_log = logging.getLogger("sweepscope.viewer.door")
-# a port scan or a dropped connection is no news; refusals are counted by the gate
+_log = logging.getLogger("sweepscope.viewer.server")
+# port scans and dropped connections would fill the log; refusals are counted
 _log.setLevel(logging.CRITICAL)
 
 
-class GuardError(SweepscopeError):
+class AccessControlError(SweepscopeError):
     """The page would be open to foreign web pages, so it is not served."""
 
 
-class Page(viser.ViserServer):
+class GuardedServer(viser.ViserServer):
     """viser's server without its way to publish the page through a tunnel."""
 
-    meters: MutableMapping[Any, Meter]
-    """What each connection was sent."""
+    meters: MutableMapping[Any, RateMeter]
+    """By connection."""
 
-    def meter_of(self, client_id: int) -> Meter | None:
+    def meter_of(self, client_id: int) -> RateMeter | None:
         """The meter of one browser; None once it is gone."""
         connection = self._websock_server._live_connections.get(client_id)
         return self.meters.get(connection) if connection is not None else None
@@ -80,37 +81,38 @@ def listen(host: str, port: int) -> socket.socket:
         ) from None
 
 
-def open_page(
-    gate: Gate, listener: socket.socket, label: str = "sweepscope", max_bytes_per_s: float = DEFAULT_BYTES_PER_S
-) -> Page:
-    """A page behind the gate, proven to refuse strangers; nobody is let in before :meth:`Gate.arm`.
+def start_server(
+    access: AccessControl, listener: socket.socket, max_bytes_per_s: float = DEFAULT_BYTES_PER_S
+) -> GuardedServer:
+    """A server that has been checked to refuse strangers; nobody is let in before :meth:`AccessControl.arm`.
 
     Raises:
-        GuardError: the guard is not in front of the page, or lets a stranger in.
+        AccessControlError: requests are not judged, or a stranger was let in.
     """
-    meters: MutableMapping[Any, Meter] = {}
-    with _guarded_serve(gate, listener, meters, max_bytes_per_s) as used, _quiet():
-        page = Page(host=gate.bound_host, port=listener.getsockname()[1], label=label, verbose=False)
-    page.meters = meters
+    meters: MutableMapping[Any, RateMeter] = {}
+    with _guarded_serve(access, listener, meters, max_bytes_per_s) as used, _quiet():
+        port = listener.getsockname()[1]
+        server = GuardedServer(host=access.bound_host, port=port, label="sweepscope", verbose=False)
+    server.meters = meters
     try:
         if not used:
-            raise GuardError("this version of viser cannot be guarded: install the pinned viser and websockets")
+            raise AccessControlError(f"this version of viser cannot be guarded: {_WHAT_TO_DO}")
         for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-            page._websock_server.unregister_handler(message)
-        prove(gate, listener.getsockname())
+            server._websock_server.unregister_handler(message)
+        check_guard(access, listener.getsockname())
     except (AssertionError, AttributeError) as error:
-        close_page(page)
-        raise GuardError(f"viser has changed inside ({error}): install the pinned viser and websockets") from None
-    except GuardError:
-        close_page(page)
+        stop_server(server)
+        raise AccessControlError(f"viser has changed inside ({error}): {_WHAT_TO_DO}") from None
+    except AccessControlError:
+        stop_server(server)
         raise
-    return page
+    return server
 
 
-def close_page(page: Page) -> None:
+def stop_server(server: GuardedServer) -> None:
     """Stop the server and its threads."""
     with _quiet():
-        page.stop()
+        server.stop()
 
 
 @contextlib.contextmanager
@@ -122,15 +124,16 @@ def _quiet() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _guarded_serve(
-    gate: Gate, listener: socket.socket, meters: MutableMapping[Any, Meter], max_bytes_per_s: float
+    access: AccessControl, listener: socket.socket, meters: MutableMapping[Any, RateMeter], max_bytes_per_s: float
 ) -> Iterator[list[socket.socket]]:
+    """While this lasts, a websocket server that is made is ours; the list is empty if none was made."""
     original = websockets.asyncio.server.serve
     used: list[socket.socket] = []
 
     def serve(handler: Any, host: object, port: object, **options: Any) -> Any:
         del host, port
         used.append(listener)
-        options["process_request"] = _ask_first(gate, options.get("process_request"))
+        options["process_request"] = _judging(access, options.get("process_request"))
         options |= {"max_size": MAX_UPLOAD_BYTES, "server_header": None, "logger": _log}
         return original(metered(handler, meters, max_bytes_per_s), sock=listener, **options)
 
@@ -141,11 +144,15 @@ def _guarded_serve(
         websockets.asyncio.server.serve = original  # type: ignore[misc]
 
 
-def _ask_first(gate: Gate, inner: Callable[[Any, Request], Response | None] | None) -> Callable[..., Response | None]:
+def _judging(
+    access: AccessControl, inner: Callable[[Any, Request], Response | None] | None
+) -> Callable[..., Response | None]:
+    """``inner``, viser's own handler of requests, for those that may pass."""
+
     def process_request(connection: Any, request: Request) -> Response | None:
-        verdict = gate.decide(visit_of(request))
-        if not verdict.passes:
-            return _response(verdict)
+        decision = access.decide(request_of(request))
+        if not decision.passes:
+            return _response(decision)
         response = inner(connection, request) if inner is not None else None
         if response is not None:
             _harden(response, request.headers.get("Host", ""))
@@ -154,10 +161,10 @@ def _ask_first(gate: Gate, inner: Callable[[Any, Request], Response | None] | No
     return process_request
 
 
-def visit_of(request: Request) -> Visit:
-    """What the guard has to know of a request."""
+def request_of(request: Request) -> PageRequest:
+    """What of a request is judged."""
     headers = request.headers
-    return Visit(
+    return PageRequest(
         target=request.path,
         hosts=tuple(headers.get_all("Host")),
         origins=tuple(headers.get_all("Origin")),
@@ -166,18 +173,15 @@ def visit_of(request: Request) -> Visit:
     )
 
 
-def _response(verdict: Verdict) -> Response:
-    body = verdict.text.encode()
-    kind = "text/html" if verdict.text.startswith("<!doctype") else "text/plain"
-    headers = Headers()
-    headers["Content-Type"] = f"{kind}; charset=utf-8"
-    headers["Content-Length"] = str(len(body))
-    headers["Connection"] = "close"
-    if verdict.location:
-        headers["Location"] = verdict.location
-    if verdict.cookie:
-        headers["Set-Cookie"] = verdict.cookie
-    response = Response(verdict.status.value, verdict.status.phrase, headers, body)
+def _response(decision: AccessDecision) -> Response:
+    body = decision.text.encode()
+    kind = "text/html" if decision.text.startswith("<!doctype") else "text/plain"
+    headers = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body)), "Connection": "close"}
+    if decision.location:
+        headers["Location"] = decision.location
+    if decision.cookie:
+        headers["Set-Cookie"] = decision.cookie
+    response = Response(decision.status.value, decision.status.phrase, Headers(headers), body)
     _harden(response, "")
     return response
 
@@ -195,30 +199,30 @@ def _harden(response: Response, host: str) -> None:
     response.headers["Cache-Control"] = "no-store"
 
 
-def prove(gate: Gate, address: tuple[Any, ...]) -> None:
-    """Knock as a stranger and as the own page, before the gate is armed.
+def check_guard(access: AccessControl, address: tuple[Any, ...]) -> None:
+    """Try to open a websocket as strangers and as the own page; ``access`` must not be armed yet.
 
     Raises:
-        GuardError: a stranger was let in, or the own page would not be.
+        AccessControlError: a stranger was let in, or the own page would not be.
     """
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address[0], address[0])  # noqa: S104 - compared, not bound
     authority = f"[{host}]:{address[1]}" if ":" in host else f"{host}:{address[1]}"
     own = f"http://{authority}"
-    knocks = (
-        ("a foreign page", _knock(authority, _EVIL, gate.cookie), HTTPStatus.FORBIDDEN),
-        ("a page without origin", _knock(authority, "null", gate.cookie), HTTPStatus.FORBIDDEN),
-        ("a visitor without the cookie", _knock(authority, own, None), HTTPStatus.UNAUTHORIZED),
-        ("the own page", _knock(authority, own, gate.cookie), HTTPStatus.SERVICE_UNAVAILABLE),
-    )
-    for who, got, wanted in knocks:
+    for who, origin, cookie, wanted in (
+        ("a foreign page", FOREIGN_ORIGIN, access.cookie, HTTPStatus.FORBIDDEN),
+        ("a page without origin", "null", access.cookie, HTTPStatus.FORBIDDEN),
+        ("a visitor without the cookie", own, None, HTTPStatus.UNAUTHORIZED),
+        ("the own page", own, access.cookie, HTTPStatus.SERVICE_UNAVAILABLE),
+    ):
+        got = _open_websocket(authority, origin, cookie)
         if got != wanted:
-            raise GuardError(
+            raise AccessControlError(
                 f"the viewer is not served: its guard answered {got or 'with an open door'} to {who}, not {wanted}; "
-                "install the pinned viser and websockets"
+                f"{_WHAT_TO_DO}"
             )
 
 
-def _knock(authority: str, origin: str, cookie: str | None) -> int:
+def _open_websocket(authority: str, origin: str, cookie: str | None) -> int:
     """The HTTP status that a websocket request gets; 0 if it was accepted."""
     try:
         with websockets.sync.client.connect(
@@ -226,11 +230,11 @@ def _knock(authority: str, origin: str, cookie: str | None) -> int:
             origin=origin,  # type: ignore[arg-type]
             additional_headers={"Cookie": cookie} if cookie else None,
             proxy=None,
-            open_timeout=PROOF_TIMEOUT_S,
+            open_timeout=CHECK_TIMEOUT_S,
             close_timeout=1,
         ):
             return 0
     except websockets.exceptions.InvalidStatus as error:
         return error.response.status_code
     except (OSError, websockets.exceptions.WebSocketException, http.client.HTTPException) as error:
-        raise GuardError(f"the viewer's page does not answer on {authority}: {error}") from None
+        raise AccessControlError(f"the viewer's page does not answer on {authority}: {error}") from None

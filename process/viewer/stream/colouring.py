@@ -1,4 +1,4 @@
-"""Pure: how points are coloured: the quantity that is shown, its range, the plane it is measured from, the legend."""
+"""How points are coloured: the quantity that is shown, its range, the plane it is measured from, the legend. Pure."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.colormaps import QUANTITY_MAP, MapName, coloured
-from acquire.contract.units import UM_PER_MM
-from process.viewer.rig_client.tile import Bounds, Tile
+from acquire.contract.units import UM_PER_MM, nice_length
+from process.viewer.rig_client.tile import BoundingBox, Tile
 
-Mode = Literal["photograph", "height", "crossing", "sigma", "deviation"]
-MODES: Final[tuple[Mode, ...]] = get_args(Mode)
+ColourMode = Literal["photograph", "height", "crossing", "sigma", "deviation"]
+MODES: Final[tuple[ColourMode, ...]] = get_args(ColourMode)
 
 PROVISIONAL_RGB = (255, 150, 40)
 """Points whose maximum has not settled are mixed toward this colour; the legend shows it."""
@@ -33,7 +33,7 @@ FEWEST = 16
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ColourQuantity:
     """What one colour mode shows."""
 
     title: str
@@ -41,25 +41,25 @@ class Quantity:
     decimals: int
 
 
-QUANTITIES: Final[dict[Mode, Quantity]] = {
-    "height": Quantity("Height over z = 0", "mm", 3),
-    "crossing": Quantity("Crossing time", "frame", 1),
-    "sigma": Quantity("Standard deviation", "µm", 2),
-    "deviation": Quantity("Deviation from the fitted plane", "µm", 1),
+QUANTITIES: Final[dict[ColourMode, ColourQuantity]] = {
+    "height": ColourQuantity("Height over z = 0", "mm", 3),
+    "crossing": ColourQuantity("Crossing time", "frame", 1),
+    "sigma": ColourQuantity("Standard deviation", "µm", 2),
+    "deviation": ColourQuantity("Deviation from the fitted plane", "µm", 1),
 }
 
 
 @dataclass(frozen=True)
-class Look:
+class ViewSettings:
     """What people chose; the same for all browsers."""
 
-    mode: Mode = "photograph"
+    mode: ColourMode = "photograph"
     low: float | None = None
     """Typed lower end of the range, in the unit of the quantity; None: the 1 % quantile."""
     high: float | None = None
     size_factor: float = 1.0
     max_points: int = 2_000_000
-    box: Bounds | None = None
+    box: BoundingBox | None = None
     """Only points within are sent; None sends all."""
 
 
@@ -91,7 +91,7 @@ class FittedPlane:
 
 
 @dataclass(frozen=True)
-class Range:
+class ValueRange:
     """The values between which colours change."""
 
     low: float
@@ -124,7 +124,7 @@ def sample(tiles: Iterable[Tile], most: int = SAMPLE) -> list[Tile]:
     return [tile.where(slice(None, None, one_of)) for tile in found]
 
 
-def values_of(tile: Tile, mode: Mode, plane: FittedPlane | None) -> NDArray[np.float32]:
+def values_of(tile: Tile, mode: ColourMode, plane: FittedPlane | None) -> NDArray[np.float32]:
     """The quantity of ``mode`` for each point, shape [n]; NaN where there is none."""
     if mode == "height":
         return (tile.xyz[:, 2].astype(np.float64) + tile.origin_mm[2]).astype(np.float32)
@@ -137,7 +137,7 @@ def values_of(tile: Tile, mode: Mode, plane: FittedPlane | None) -> NDArray[np.f
     return np.full(tile.count, np.nan, np.float32)
 
 
-def colours_of(tile: Tile, mode: Mode, within: Range | None, plane: FittedPlane | None) -> NDArray[np.uint8]:
+def colours_of(tile: Tile, mode: ColourMode, within: ValueRange | None, plane: FittedPlane | None) -> NDArray[np.uint8]:
     """Shape [n, 3] RGB: as photographed, or the quantity in its map; provisional points are marked."""
     if mode == "photograph" or within is None:
         base, toward, mix = tile.rgb.astype(np.float32), np.asarray(PROVISIONAL_RGB, np.float32), PROVISIONAL_MIX
@@ -170,33 +170,27 @@ def fit_plane(tiles: Iterable[Tile]) -> FittedPlane | None:
     return found
 
 
-def automatic_range(values: NDArray[np.float32], mode: Mode) -> Range:
+def automatic_range(values: NDArray[np.float32], mode: ColourMode) -> ValueRange:
     """The 1 % and 99 % quantiles, rounded outward so that a growing cloud is seldom recoloured."""
     known = values[np.isfinite(values)]
     if not known.size:
-        return Range(0.0, 1.0)
+        return ValueRange(0.0, 1.0)
     low, high = (float(edge) for edge in np.quantile(known.astype(np.float64), QUANTILES))
     if mode == "deviation":
         low, high = -max(-low, high, 0.0), max(-low, high, 0.0)
-    step = nice_step((high - low) / 10) if high > low else max(abs(high), 1.0) * 0.01
-    return Range(math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step)
+    step = nice_length((high - low) / 10) if high > low else max(abs(high), 1.0) * 0.01
+    return ValueRange(math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step)
 
 
-def nice_step(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above ``length``."""
-    power = 10.0 ** math.floor(math.log10(max(length, 1e-12)))
-    return max(float(step * power) for step in (1, 2, 5) if step * power <= max(length, 1e-12) * 1.0001)
-
-
-def chosen_range(look: Look, values: NDArray[np.float32]) -> Range:
+def chosen_range(settings: ViewSettings, values: NDArray[np.float32]) -> ValueRange:
     """Typed ends where there are any, the automatic ones elsewhere."""
-    auto = automatic_range(values, look.mode)
-    low = auto.low if look.low is None else look.low
-    high = auto.high if look.high is None else look.high
-    return Range(low, high) if high > low else Range(low, low + max(abs(low), 1.0) * 1e-6)
+    auto = automatic_range(values, settings.mode)
+    low = auto.low if settings.low is None else settings.low
+    high = auto.high if settings.high is None else settings.high
+    return ValueRange(low, high) if high > low else ValueRange(low, low + max(abs(low), 1.0) * 1e-6)
 
 
-def legend_of(mode: Mode, within: Range, values: NDArray[np.float32], plane: FittedPlane | None) -> Legend:
+def legend_of(mode: ColourMode, within: ValueRange, values: NDArray[np.float32], plane: FittedPlane | None) -> Legend:
     """The legend of a quantity over a sample of its values."""
     quantity = QUANTITIES[mode]
     known = values[np.isfinite(values)]

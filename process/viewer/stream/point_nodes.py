@@ -1,7 +1,7 @@
-"""Owns what there is to be seen: tiles grouped into a fixed set of nodes, how they are coloured, clipped and thinned.
+"""The points that there are to show: tiles grouped into a fixed set of nodes, coloured, clipped and thinned.
 
-Nothing is sent from here: a courier for each browser compares its own state with the numbers kept here, and asks for
-the nodes that it lacks. What is prepared for one browser is kept a while for the others.
+Nothing is sent from here: the stream of each browser compares what it has sent with the numbers kept here, and asks
+for the nodes that its browser lacks. What is prepared for one browser is kept a while for the others.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from acquire.contract.units import NS_PER_S
 from process.viewer.rig_client.feed import TileChanges
-from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, power_of_two
+from process.viewer.rig_client.tile import BoundingBox, Tile, bounding_box_of, merged, power_of_two
 
 from .colouring import (
     FittedPlane,
     Legend,
-    Look,
-    Range,
+    ValueRange,
+    ViewSettings,
     chosen_range,
     colours_of,
     fit_plane,
@@ -48,13 +48,13 @@ DEFAULT_POINT_MM = 0.02
 RANGE_NS = 2 * NS_PER_S
 """Least time between two changes of an automatic range: each recolours everything."""
 SMALL_NS = 4 * NS_PER_S
-"""So long a change that nobody would see may wait: behind the light a few points of each tile still move a little."""
+"""So long an invisible change may wait: behind the light a few points of each tile still move a little."""
 CACHE_BYTES = 48_000_000
 """Prepared nodes kept for other browsers."""
 
 
 @dataclass(frozen=True)
-class Prepared:
+class NodeData:
     """One node, ready to be sent."""
 
     points: NDArray[np.float32]
@@ -63,18 +63,18 @@ class Prepared:
     """Shape [n, 3] RGB."""
 
 
-class Cloud:
+class PointNodes:
     """Mirrors the worker's tiles (or those of an older scan). One thread calls everything."""
 
-    def __init__(self, look: Look | None = None) -> None:
-        self._look = look or Look()
+    def __init__(self, settings: ViewSettings | None = None) -> None:
+        self._settings = settings or ViewSettings()
         self._tiles: dict[int, Tile] = {}
         self._geometry = 0
         self._now_ns = 0
         self._small: dict[int, int] = {}
         self._range_ns = -RANGE_NS
         self._values: NDArray[np.float32] | None = None
-        self._cache: OrderedDict[tuple[int, int], tuple[int, int, Tile, Prepared]] = OrderedDict()
+        self._cache: OrderedDict[tuple[int, int], tuple[int, int, Tile, NodeData]] = OrderedDict()
         self._cached_bytes = 0
         self.tiles_per_node = 1
         self.marks: dict[int, int] = {}
@@ -84,16 +84,16 @@ class Cloud:
         self.paint = 0
         """Changes whenever all colours do."""
         self.origin_mm: tuple[float, float, float] | None = None
-        self.range: Range | None = None
+        self.range: ValueRange | None = None
         self.plane: FittedPlane | None = None
         self._point_mm = DEFAULT_POINT_MM
 
     # ---- what is known ----
 
     @property
-    def look(self) -> Look:
+    def settings(self) -> ViewSettings:
         """How it is shown."""
-        return self._look
+        return self._settings
 
     @property
     def tiles(self) -> Mapping[int, Tile]:
@@ -108,39 +108,39 @@ class Cloud:
     @property
     def fine(self) -> int:
         """1: all points are shown in the end; n: one of n, spread evenly."""
-        return power_of_two(self.points, self._look.max_points)
+        return power_of_two(self.points, self._settings.max_points)
 
     @property
     def coarse(self) -> int:
         """One of so many points makes the overview that comes first."""
         return max(self.fine, power_of_two(self.points, OVERVIEW_POINTS))
 
-    def bounds(self) -> Bounds | None:
+    def bounds(self) -> BoundingBox | None:
         """A box around nearly all points, None without any."""
-        return bounds_of(self._tiles.values())
+        return bounding_box_of(self._tiles.values())
 
     def size_mm(self, one_of: int) -> float:
         """Diameter of a drawn point when one of so many is shown."""
-        return round(self._point_mm * self._look.size_factor * one_of**0.5, 7)
+        return round(self._point_mm * self._settings.size_factor * one_of**0.5, 7)
 
     def legend(self) -> Legend | None:
         """The legend of the shown quantity; None for a photograph."""
-        if self._look.mode == "photograph" or self.range is None or self._values is None:
+        if self._settings.mode == "photograph" or self.range is None or self._values is None:
             return None
-        return legend_of(self._look.mode, self.range, self._values, self.plane)
+        return legend_of(self._settings.mode, self.range, self._values, self.plane)
 
     # ---- what changes ----
 
-    def take(self, news: TileChanges) -> None:
+    def take(self, changes: TileChanges) -> None:
         """Note tiles that changed; a snapshot that only repeats what is known changes nothing."""
-        if not news.reset and not news.tiles:
+        if not changes.reset and not changes.tiles:
             return
-        gone = set(self._tiles) - set(news.tiles) if news.reset else set()
+        gone = set(self._tiles) - set(changes.tiles) if changes.reset else set()
         for number in gone:
             del self._tiles[number]
-        changed = {number for number, tile in news.tiles.items() if not tile.same_as(self._tiles.get(number))}
-        small = set() if news.reset else {n for n in changed if news.tiles[n].differs_little(self._tiles.get(n))}
-        self._tiles.update({number: news.tiles[number] for number in changed})
+        changed = {number for number, tile in changes.tiles.items() if not tile.same_as(self._tiles.get(number))}
+        small = set() if changes.reset else {n for n in changed if changes.tiles[n].differs_little(self._tiles.get(n))}
+        self._tiles.update({number: changes.tiles[number] for number in changed})
         for number in small:
             self._small.setdefault(number // self.tiles_per_node, self._now_ns)
         changed -= small
@@ -155,14 +155,14 @@ class Cloud:
         self._choose_size()
         self._values = None
 
-    def show(self, look: Look) -> None:
+    def show(self, settings: ViewSettings) -> None:
         """Show it in another way from now on."""
-        if look == self._look:
+        if settings == self._settings:
             return
-        before, self._look = self._look, look
-        if look.box != before.box:
+        before, self._settings = self._settings, settings
+        if settings.box != before.box:
             self._touch(set(self.marks))
-        if (look.mode, look.low, look.high) != (before.mode, before.low, before.high):
+        if (settings.mode, settings.low, settings.high) != (before.mode, before.low, before.high):
             self._values = None
             self._range_ns = -RANGE_NS
             self.paint += 1
@@ -171,18 +171,18 @@ class Cloud:
         """Show small changes that waited, and bring range and plane up to date: seldom, as everything is recoloured."""
         self._now_ns = now_ns
         self._touch({node for node, since_ns in self._small.items() if now_ns - since_ns >= SMALL_NS})
-        if self._look.mode == "photograph" or self._values is not None or now_ns - self._range_ns < RANGE_NS:
+        if self._settings.mode == "photograph" or self._values is not None or now_ns - self._range_ns < RANGE_NS:
             return
         self._range_ns = now_ns
-        plane = fit_plane(self._tiles.values()) if self._look.mode == "deviation" else None
-        parts = [values_of(tile, self._look.mode, plane) for tile in sample(self._tiles.values())]
+        plane = fit_plane(self._tiles.values()) if self._settings.mode == "deviation" else None
+        parts = [values_of(tile, self._settings.mode, plane) for tile in sample(self._tiles.values())]
         self._values = np.concatenate(parts) if parts else np.zeros(0, np.float32)
-        within = chosen_range(self._look, self._values)
+        within = chosen_range(self._settings, self._values)
         if within != self.range or plane != self.plane:
             self.paint += 1
         self.range, self.plane = within, plane
 
-    def prepared(self, node: int, one_of: int) -> Prepared:
+    def prepared(self, node: int, one_of: int) -> NodeData:
         """One node thinned to ``one_of``, clipped and coloured.
 
         Raises:
@@ -195,8 +195,8 @@ class Cloud:
             if known[:2] == (geometry, self.paint):
                 return self._keep((node, one_of), known)
         tile = known[2] if known is not None and known[0] == geometry else self._node_tile(node, one_of)
-        colours = colours_of(tile, self._look.mode, self.range, self.plane)
-        return self._keep((node, one_of), (geometry, self.paint, tile, Prepared(tile.xyz, colours)))
+        colours = colours_of(tile, self._settings.mode, self.range, self.plane)
+        return self._keep((node, one_of), (geometry, self.paint, tile, NodeData(tile.xyz, colours)))
 
     def centre_mm(self, node: int) -> tuple[float, float, float]:
         """About where a node is."""
@@ -208,7 +208,7 @@ class Cloud:
 
     # ---- inside ----
 
-    def _keep(self, key: tuple[int, int], entry: tuple[int, int, Tile, Prepared]) -> Prepared:
+    def _keep(self, key: tuple[int, int], entry: tuple[int, int, Tile, NodeData]) -> NodeData:
         self._cache[key] = entry
         self._cached_bytes += len(entry[3].points) * POINT_BYTES
         while self._cached_bytes > CACHE_BYTES and len(self._cache) > 1:
@@ -219,7 +219,7 @@ class Cloud:
     def _node_tile(self, node: int, one_of: int) -> Tile:
         tiles = list(self._members(node))
         shown = merged(tiles, self.origin_mm or (0.0, 0.0, 0.0)).thinned(one_of)
-        return shown if self._look.box is None else shown.inside(self._look.box)
+        return shown if self._settings.box is None else shown.inside(self._settings.box)
 
     def _members(self, node: int) -> Iterable[Tile]:
         first = node * self.tiles_per_node

@@ -15,8 +15,9 @@ import websockets.asyncio.server
 import websockets.sync.client
 from viser import _messages
 
-from process.viewer.server import guarded_server as door
-from process.viewer.server.access_control import Gate
+from process.viewer.server import guarded_server
+from process.viewer.server.access_control import PASS, AccessControl, AccessDecision, PageRequest
+from process.viewer.server.guarded_server import AccessControlError, GuardedServer, listen, start_server, stop_server
 from tests.fakes.processes.viewer_process import ViewerProcess, request, upgrade
 
 
@@ -29,12 +30,12 @@ def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerProcess]:
 
 
 @pytest.fixture
-def page() -> Iterator[tuple[Gate, door.Page, int]]:
-    gate = Gate()
-    listener = door.listen("127.0.0.1", 0)
-    page = door.open_page(gate, listener)
-    yield gate, page, listener.getsockname()[1]
-    door.close_page(page)
+def page() -> Iterator[tuple[AccessControl, GuardedServer, int]]:
+    access = AccessControl()
+    listener = listen("127.0.0.1", 0)
+    page = start_server(access, listener)
+    yield access, page, listener.getsockname()[1]
+    stop_server(page)
 
 
 @pytest.mark.shares_processes
@@ -123,19 +124,19 @@ def tunnel_to(port: int) -> Iterator[int]:
 
 
 def test_a_request_to_share_the_page_with_the_world_does_nothing(
-    page: tuple[Gate, door.Page, int], monkeypatch: pytest.MonkeyPatch
+    page: tuple[AccessControl, GuardedServer, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gate, server, port = page
-    gate.arm()
+    access, server, port = page
+    access.arm()
     asked: list[object] = []
     monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda *_: asked.append("viser"))
-    monkeypatch.setattr(door.Page, "request_share_url", lambda *_: asked.append("page"))
+    monkeypatch.setattr(GuardedServer, "request_share_url", lambda *_: asked.append("page"))
     there = threading.Event()
     server.on_client_connect(lambda _client: there.set())
     with websockets.sync.client.connect(
         f"ws://127.0.0.1:{port}",
         origin=f"http://127.0.0.1:{port}",
-        additional_headers={"Cookie": gate.cookie},
+        additional_headers={"Cookie": access.cookie},
         subprotocols=[f"viser-v{viser.__version__}"],
         proxy=None,
         compression=None,
@@ -145,11 +146,12 @@ def test_a_request_to_share_the_page_with_the_world_does_nothing(
         # messages are handled in order: once the camera's has arrived, the request for a tunnel is over
         assert there.wait(10)
     assert asked == []
+    # viser has no public list of what it obeys
     assert server._websock_server._incoming_handlers.get(_messages.ShareUrlRequest) is None
 
 
 def camera_message() -> dict[str, Any]:
-    """The first word of a browser."""
+    """The first message of a browser."""
     return {
         "type": "ViewerCameraMessage",
         "wxyz": (1.0, 0.0, 0.0, 0.0),
@@ -164,14 +166,18 @@ def camera_message() -> dict[str, Any]:
     }
 
 
-def test_a_guard_that_lets_strangers_in_is_found_at_the_start_and_nothing_is_served(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(door, "_ask_first", lambda _gate, inner: inner)
-    listener = door.listen("127.0.0.1", 0)
+class OpenDoor(AccessControl):
+    """Lets everybody in."""
+
+    def decide(self, request: PageRequest) -> AccessDecision:
+        return PASS
+
+
+def test_a_guard_that_lets_strangers_in_is_found_at_the_start_and_nothing_is_served() -> None:
+    listener = listen("127.0.0.1", 0)
     port = listener.getsockname()[1]
-    with pytest.raises(door.GuardError, match="open door.* to a foreign page"):
-        door.open_page(Gate(), listener)
+    with pytest.raises(AccessControlError, match="open door.* to a foreign page"):
+        start_server(OpenDoor(), listener)
     with pytest.raises(ConnectionRefusedError):
         request(port)
 
@@ -179,10 +185,16 @@ def test_a_guard_that_lets_strangers_in_is_found_at_the_start_and_nothing_is_ser
 def test_a_viser_that_no_longer_asks_for_its_server_by_that_name_is_not_served(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(door, "_guarded_serve", lambda *_: contextlib.nullcontext([]))
-    with door.listen("127.0.0.1", 0) as listener, pytest.raises(door.GuardError, match="cannot be guarded"):
-        door.open_page(Gate(), listener)
+    # private, because what is simulated is a viser that this function does not know
+    monkeypatch.setattr(guarded_server, "_guarded_serve", lambda *_: contextlib.nullcontext([]))
+    with (
+        listen("127.0.0.1", 0) as listener,
+        pytest.raises(AccessControlError, match="cannot be guarded"),
+    ):
+        start_server(AccessControl(), listener)
 
 
-def test_the_hinge_is_put_back_after_the_page_is_built(page: tuple[Gate, door.Page, int]) -> None:
+def test_the_library_is_left_as_it_was_after_the_page_is_built(
+    page: tuple[AccessControl, GuardedServer, int],
+) -> None:
     assert websockets.asyncio.server.serve.__module__ == "websockets.asyncio.server"

@@ -185,7 +185,7 @@ class RigLink:
             self._updates.show("maps", MapsArrived(MapsView.of(message, received.buffer)))
 
     def _tell_end(self, update: CommandUpdate) -> None:
-        """Tell the screen how a command ended; that it was sent is no news."""
+        """Tell the screen how a command ended; that it was sent is not told."""
         if update.state is CommandState.SENT:
             return
         command, reply = update.command, update.reply

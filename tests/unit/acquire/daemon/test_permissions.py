@@ -16,7 +16,7 @@ from acquire.daemon.commands.control import Control
 from acquire.daemon.commands.table import CommandDispatcher, command_table
 from acquire.daemon.requests import Call, JogHoldRequest, Result
 from acquire.stages.protocol import StageStatus
-from process.viewer.rig_client.lease import Lease
+from process.viewer.rig_client.control import BrowserControl
 from process.viewer.status_text import allowed
 from tui.console.state.scan_rules import COMMAND_OF, why_not
 
@@ -115,7 +115,7 @@ def test_only_commands_of_the_table_are_given_while_another_client_holds_control
     free = {name for name in PERMISSIONS if not needs_control(name)}
     assert free == {"stop", "status", "estimate", "control"}
     for name in PERMISSIONS:
-        lease = Lease()
+        lease = BrowserControl()
         assert bool(lease.refusal(held, 0, name)) == (name not in free)
         if name not in free:
             with pytest.raises(CommandRefusedError, match="anna holds control"):

@@ -2,118 +2,120 @@ from http import HTTPStatus
 
 import pytest
 
-from process.viewer.server.access_control import PASS, Gate, Visit, is_loopback
+from process.viewer.server.access_control import PASS, AccessControl, PageRequest, is_loopback
 
 
 @pytest.fixture
-def gate() -> Gate:
-    gate = Gate()
-    gate.arm()
-    return gate
+def access() -> AccessControl:
+    access = AccessControl()
+    access.arm()
+    return access
 
 
-def visit(gate: Gate, **changes: object) -> Visit:
+def visit(access: AccessControl, **changes: object) -> PageRequest:
     fields = {
         "target": "/",
         "hosts": ("127.0.0.1:8080",),
         "origins": ("http://127.0.0.1:8080",),
-        "cookies": (gate.cookie,),
+        "cookies": (access.cookie,),
         "upgrade": True,
     }
-    return Visit(**(fields | changes))
+    return PageRequest(**(fields | changes))
 
 
-def test_the_own_page_with_its_cookie_passes(gate: Gate) -> None:
-    assert gate.decide(visit(gate)) is PASS
+def test_the_own_page_with_its_cookie_passes(access: AccessControl) -> None:
+    assert access.decide(visit(access)) is PASS
 
 
 @pytest.mark.parametrize("host", ["localhost:9000", "127.0.0.1", "[::1]:8080", "LOCALHOST:1"])
-def test_any_port_of_a_loopback_name_passes_because_ssh_maps_ports(gate: Gate, host: str) -> None:
-    assert gate.decide(visit(gate, hosts=(host,), origins=(f"http://{host}",))).passes
+def test_any_port_of_a_loopback_name_passes_because_ssh_maps_ports(access: AccessControl, host: str) -> None:
+    assert access.decide(visit(access, hosts=(host,), origins=(f"http://{host}",))).passes
 
 
 @pytest.mark.parametrize(
     "host",
     ["evil.example", "127.0.0.1.evil.example", "192.168.1.7:8080", "localhost.evil.example", "", "a@127.0.0.1", "x:y"],
 )
-def test_a_name_that_is_not_loopback_is_refused_even_with_the_cookie(gate: Gate, host: str) -> None:
-    assert gate.decide(visit(gate, hosts=(host,), origins=(f"http://{host}",))).status == HTTPStatus.FORBIDDEN
+def test_a_name_that_is_not_loopback_is_refused_even_with_the_cookie(access: AccessControl, host: str) -> None:
+    assert access.decide(visit(access, hosts=(host,), origins=(f"http://{host}",))).status == HTTPStatus.FORBIDDEN
 
 
 @pytest.mark.parametrize(
     "origin",
     ["https://evil.example", "null", "http://127.0.0.1:9999", "http://localhost:8080", "file://", "127.0.0.1:8080"],
 )
-def test_an_origin_other_than_the_host_is_refused_even_with_the_cookie(gate: Gate, origin: str) -> None:
-    assert gate.decide(visit(gate, origins=(origin,))).status == HTTPStatus.FORBIDDEN
+def test_an_origin_other_than_the_host_is_refused_even_with_the_cookie(access: AccessControl, origin: str) -> None:
+    assert access.decide(visit(access, origins=(origin,))).status == HTTPStatus.FORBIDDEN
 
 
-def test_a_websocket_that_does_not_say_where_it_comes_from_is_refused(gate: Gate) -> None:
-    assert gate.decide(visit(gate, origins=())).status == HTTPStatus.FORBIDDEN
+def test_a_websocket_that_does_not_say_where_it_comes_from_is_refused(access: AccessControl) -> None:
+    assert access.decide(visit(access, origins=())).status == HTTPStatus.FORBIDDEN
 
 
-def test_headers_that_come_twice_are_refused(gate: Gate) -> None:
-    assert gate.decide(visit(gate, hosts=("localhost", "localhost"))).status == HTTPStatus.FORBIDDEN
+def test_headers_that_come_twice_are_refused(access: AccessControl) -> None:
+    assert access.decide(visit(access, hosts=("localhost", "localhost"))).status == HTTPStatus.FORBIDDEN
     own = "http://127.0.0.1:8080"
-    assert gate.decide(visit(gate, origins=(own, own))).status == HTTPStatus.FORBIDDEN
+    assert access.decide(visit(access, origins=(own, own))).status == HTTPStatus.FORBIDDEN
 
 
 @pytest.mark.parametrize("cookies", [(), ("",), ("sweepscope=1",), ("a=b; c=d",)])
-def test_without_the_cookie_nobody_comes_in(gate: Gate, cookies: tuple[str, ...]) -> None:
-    assert gate.decide(visit(gate, cookies=cookies)).status == HTTPStatus.UNAUTHORIZED
+def test_without_the_cookie_nobody_comes_in(access: AccessControl, cookies: tuple[str, ...]) -> None:
+    assert access.decide(visit(access, cookies=cookies)).status == HTTPStatus.UNAUTHORIZED
 
 
-def test_the_cookie_of_another_page_does_not_open_this_one(gate: Gate) -> None:
-    assert gate.decide(visit(gate, cookies=(Gate().cookie,))).status == HTTPStatus.UNAUTHORIZED
+def test_the_cookie_of_another_page_does_not_open_this_one(access: AccessControl) -> None:
+    assert access.decide(visit(access, cookies=(AccessControl().cookie,))).status == HTTPStatus.UNAUTHORIZED
 
 
-def test_the_cookie_is_found_among_others(gate: Gate) -> None:
-    assert gate.decide(visit(gate, cookies=(f"a=b; {gate.cookie}; c=d",))).passes
+def test_the_cookie_is_found_among_others(access: AccessControl) -> None:
+    assert access.decide(visit(access, cookies=(f"a=b; {access.cookie}; c=d",))).passes
 
 
-def test_the_token_is_exchanged_for_a_strict_cookie_and_leaves_the_address(gate: Gate) -> None:
-    verdict = gate.decide(visit(gate, target=f"/?token={gate.token}", origins=(), cookies=(), upgrade=False))
+def test_the_token_is_exchanged_for_a_strict_cookie_and_leaves_the_address(access: AccessControl) -> None:
+    verdict = access.decide(visit(access, target=f"/?token={access.token}", origins=(), cookies=(), upgrade=False))
     assert (verdict.status, verdict.location) == (HTTPStatus.FOUND, "/")
-    assert verdict.cookie.startswith(gate.cookie)
+    assert verdict.cookie.startswith(access.cookie)
     assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(verdict.cookie.split("; "))
-    assert gate.token not in verdict.cookie
+    assert access.token not in verdict.cookie
 
 
 @pytest.mark.parametrize("target", ["/?token=wrong", "/?token=", "/?token=%00"])
-def test_a_wrong_token_gets_no_cookie(gate: Gate, target: str) -> None:
-    verdict = gate.decide(visit(gate, target=target, origins=(), cookies=(), upgrade=False))
+def test_a_wrong_token_gets_no_cookie(access: AccessControl, target: str) -> None:
+    verdict = access.decide(visit(access, target=target, origins=(), cookies=(), upgrade=False))
     assert (verdict.status, verdict.cookie) == (HTTPStatus.UNAUTHORIZED, "")
 
 
-def test_a_foreign_page_cannot_exchange_a_token(gate: Gate) -> None:
-    stolen = visit(gate, target=f"/?token={gate.token}", origins=("https://evil.example",), cookies=(), upgrade=False)
-    assert gate.decide(stolen).status == HTTPStatus.FORBIDDEN
+def test_a_foreign_page_cannot_exchange_a_token(access: AccessControl) -> None:
+    stolen = visit(
+        access, target=f"/?token={access.token}", origins=("https://evil.example",), cookies=(), upgrade=False
+    )
+    assert access.decide(stolen).status == HTTPStatus.FORBIDDEN
 
 
-def test_query_parameters_never_reach_the_page_because_its_code_obeys_them(gate: Gate) -> None:
-    lure = visit(gate, target="/?websocket=ws://evil.example", origins=(), upgrade=False)
-    assert gate.decide(lure).location == "/"
+def test_query_parameters_never_reach_the_page_because_its_code_obeys_them(access: AccessControl) -> None:
+    lure = visit(access, target="/?websocket=ws://evil.example", origins=(), upgrade=False)
+    assert access.decide(lure).location == "/"
 
 
 def test_before_the_page_is_complete_not_even_its_own_browser_comes_in() -> None:
-    gate = Gate()
-    assert gate.decide(visit(gate)).status == HTTPStatus.SERVICE_UNAVAILABLE
+    access = AccessControl()
+    assert access.decide(visit(access)).status == HTTPStatus.SERVICE_UNAVAILABLE
 
 
-def test_a_header_of_unreasonable_length_is_refused_and_counted(gate: Gate) -> None:
-    assert gate.decide(visit(gate, cookies=("x" * 5000,))).status == HTTPStatus.FORBIDDEN
-    assert gate.refused["size"] == 1
+def test_a_header_of_unreasonable_length_is_refused_and_counted(access: AccessControl) -> None:
+    assert access.decide(visit(access, cookies=("x" * 5000,))).status == HTTPStatus.FORBIDDEN
+    assert access.refused["size"] == 1
 
 
 def test_a_page_bound_to_the_network_is_view_only_and_still_wants_the_cookie() -> None:
-    gate = Gate("0.0.0.0")
-    gate.arm()
+    access = AccessControl("0.0.0.0")
+    access.arm()
     here = {"hosts": ("192.168.1.7:8080",), "origins": ("http://192.168.1.7:8080",)}
-    assert gate.view_only
-    assert gate.decide(visit(gate, **here)).passes
-    assert gate.decide(visit(gate, **here, cookies=())).status == HTTPStatus.UNAUTHORIZED
-    named = visit(gate, hosts=("evil.example",), origins=("http://evil.example",))
-    assert gate.decide(named).status == HTTPStatus.FORBIDDEN
+    assert access.view_only
+    assert access.decide(visit(access, **here)).passes
+    assert access.decide(visit(access, **here, cookies=())).status == HTTPStatus.UNAUTHORIZED
+    named = visit(access, hosts=("evil.example",), origins=("http://evil.example",))
+    assert access.decide(named).status == HTTPStatus.FORBIDDEN
 
 
 @pytest.mark.parametrize(

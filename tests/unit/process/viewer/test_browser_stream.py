@@ -1,4 +1,4 @@
-"""What a browser ends up with, whatever its link: the cloud and a courier together, with a browser of plain arrays."""
+"""What a browser ends up with over any connection: nodes and stream together, with a browser of plain arrays."""
 
 from dataclasses import replace
 from typing import Any
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from process.viewer.rig_client.feed import TileChanges
-from process.viewer.rig_client.tile import Bounds, Tile
-from process.viewer.stream import point_nodes as cloud_module
-from process.viewer.stream.browser_stream import LEAST_STEP_BYTES, STEP_NS, Courier
-from process.viewer.stream.colouring import Look
-from process.viewer.stream.point_nodes import MAX_NODES, SMALL_NS, Cloud
+from process.viewer.rig_client.tile import BoundingBox, Tile
+from process.viewer.stream import point_nodes
+from process.viewer.stream.browser_stream import LEAST_STEP_BYTES, STEP_NS, BrowserStream
+from process.viewer.stream.colouring import ViewSettings
+from process.viewer.stream.point_nodes import MAX_NODES, SMALL_NS, PointNodes
 
 
 class Browser:
@@ -21,6 +21,7 @@ class Browser:
         self.rate_bytes_per_s = rate_bytes_per_s
         self.eye_mm: np.ndarray | None = None
         self.busy = False
+        self.file_parts = 0
         self.nodes: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.sizes: dict[int, float] = {}
         self.log: list[tuple[str, int]] = []
@@ -28,6 +29,13 @@ class Browser:
 
     def idle(self) -> bool:
         return not self.busy
+
+    def send_file_part(self) -> bool:
+        if self.file_parts:
+            self.file_parts -= 1
+            self.log.append(("file", self.file_parts))
+            return True
+        return False
 
     def begin(self, origin_mm: tuple[float, float, float]) -> None:
         self.origin = origin_mm
@@ -53,18 +61,18 @@ class Browser:
 
 
 class Rig:
-    """A cloud, and one courier for each browser, with a clock."""
+    """A cloud, and one stream for each browser, with a clock."""
 
     def __init__(self, *browsers: Browser, **look: Any) -> None:
-        self.cloud = Cloud(Look(**look))
+        self.cloud = PointNodes(ViewSettings(**look))
         self.browsers = browsers or (Browser(),)
-        self.couriers = [Courier(browser) for browser in self.browsers]
+        self.streams = [BrowserStream(browser) for browser in self.browsers]
         self.now_ns = 0
 
     def step(self) -> list[int]:
         self.now_ns += STEP_NS
         self.cloud.settle(self.now_ns)
-        return [courier.turn(self.cloud, self.now_ns) for courier in self.couriers]
+        return [stream.turn(self.cloud, self.now_ns) for stream in self.streams]
 
     def show(self, *, reset: bool = False, **tiles: Tile) -> None:
         self.cloud.take(TileChanges(reset, {int(name[1:]): points for name, points in tiles.items()}))
@@ -143,7 +151,7 @@ def test_a_cloud_over_the_budget_is_thinned_everywhere_and_a_larger_budget_bring
     rig.show(t2=tile(900))
     assert rig.cloud.fine == 2
     assert [len(points) for points, _ in rig.browsers[0].nodes.values()] == pytest.approx([450, 450], abs=5)
-    rig.cloud.show(replace(rig.cloud.look, max_points=5000))
+    rig.cloud.show(replace(rig.cloud.settings, max_points=5000))
     rig.show()
     assert len(rig.browsers[0].all_points()) == 1800
 
@@ -159,7 +167,7 @@ def test_more_tiles_than_nodes_share_nodes_and_no_point_is_lost() -> None:
 def test_a_large_cloud_comes_as_an_overview_first_and_what_is_near_the_eye_is_refined_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(cloud_module, "OVERVIEW_POINTS", 5_000)
+    monkeypatch.setattr(point_nodes, "OVERVIEW_POINTS", 5_000)
     browser = Browser(rate_bytes_per_s=200_000)
     browser.eye_mm = np.array([90.0, 0.0, 0.0])
     rig = Rig(browser)
@@ -186,7 +194,7 @@ def test_a_step_is_what_the_link_carries_and_the_next_waits_until_it_has_arrived
 
 
 def test_a_browser_that_falls_behind_gets_overviews_of_what_changed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cloud_module, "OVERVIEW_POINTS", 1_000)
+    monkeypatch.setattr(point_nodes, "OVERVIEW_POINTS", 1_000)
     lagging, fast = Browser(rate_bytes_per_s=20_000), Browser()
     rig = Rig(lagging, fast)
     sent = [0, 0]
@@ -205,7 +213,7 @@ def test_another_colour_mode_sends_colours_alone() -> None:
     (browser,) = rig.browsers
     rig.show(t1=tile(50), t2=tile(50, (0.0, 0.0, 1.0)))
     points, before = dict(browser.nodes), len(browser.log)
-    rig.cloud.show(replace(rig.cloud.look, mode="height"))
+    rig.cloud.show(replace(rig.cloud.settings, mode="height"))
     assert [rig.step(), rig.step()] == [[100 * 3], [0]]
     assert browser.log[before:] == [("paint", 1), ("paint", 2)]
     assert not np.array_equal(points[1][1], browser.nodes[1][1])
@@ -217,10 +225,10 @@ def test_another_colour_mode_sends_colours_alone() -> None:
 def test_a_clipping_box_sends_only_what_is_inside_it() -> None:
     rig = Rig()
     rig.show(t1=tile(100))
-    rig.cloud.show(replace(rig.cloud.look, box=Bounds((0.00495, -1.0, -1.0), (1.0, 1.0, 1.0))))
+    rig.cloud.show(replace(rig.cloud.settings, box=BoundingBox((0.00495, -1.0, -1.0), (1.0, 1.0, 1.0))))
     rig.show()
     assert len(rig.browsers[0].all_points()) == 50
-    rig.cloud.show(replace(rig.cloud.look, box=None))
+    rig.cloud.show(replace(rig.cloud.settings, box=None))
     rig.show()
     assert len(rig.browsers[0].all_points()) == 100
 
@@ -230,7 +238,18 @@ def test_a_bigger_point_is_set_without_sending_points_again() -> None:
     (browser,) = rig.browsers
     rig.show(t1=tile(50))
     size = browser.sizes[1]
-    rig.cloud.show(replace(rig.cloud.look, size_factor=2.0))
+    rig.cloud.show(replace(rig.cloud.settings, size_factor=2.0))
     rig.step()
     assert browser.sizes[1] == pytest.approx(2 * size)
     assert browser.log == [("put", 1), ("resize", 1)]
+
+
+def test_points_and_parts_of_a_file_take_turns() -> None:
+    browser = Browser(rate_bytes_per_s=10_000)
+    rig = Rig(browser)
+    rig.cloud.take(TileChanges(tiles={number: tile(4000) for number in range(4)}))
+    browser.file_parts = 3
+    while browser.file_parts:
+        rig.step()
+    kinds = [kind for kind, _ in browser.log]
+    assert kinds == ["file", "put", "file", "put", "file"]

@@ -6,8 +6,8 @@ from process.viewer.markup import legend_html
 from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.colouring import (
     PROVISIONAL_RGB,
-    Look,
-    Range,
+    ValueRange,
+    ViewSettings,
     automatic_range,
     chosen_range,
     colours_of,
@@ -42,7 +42,7 @@ def test_provisional_points_are_drawn_toward_the_colour_of_the_legend() -> None:
 
 
 def test_where_the_colour_tells_a_value_provisional_points_keep_their_hue_and_are_darker() -> None:
-    shown = colours_of(tile(np.zeros((2, 3)), provisional=[False, True]), "height", Range(-1.0, 1.0), None)
+    shown = colours_of(tile(np.zeros((2, 3)), provisional=[False, True]), "height", ValueRange(-1.0, 1.0), None)
     assert shown[0].tolist() == table("viridis")[128].tolist()
     assert shown[1].astype(float) == pytest.approx(0.45 * shown[0], abs=1.5)
 
@@ -53,7 +53,7 @@ def test_height_counts_from_zero_wherever_a_tile_has_its_origin() -> None:
 
 def test_the_automatic_range_leaves_out_a_percent_at_each_end_and_is_round() -> None:
     values = np.append(np.linspace(0.0, 1.0, 1000), [900.0]).astype(np.float32)
-    assert automatic_range(values, "height") == Range(0.0, 1.0)
+    assert automatic_range(values, "height") == ValueRange(0.0, 1.0)
 
 
 def test_the_range_of_a_deviation_is_the_same_on_both_sides() -> None:
@@ -63,8 +63,8 @@ def test_the_range_of_a_deviation_is_the_same_on_both_sides() -> None:
 
 def test_a_typed_end_holds_and_one_below_the_other_does_not_break_the_colours() -> None:
     values = np.linspace(0.0, 1.0, 100, dtype=np.float32)
-    assert chosen_range(Look("height", low=-2.0), values).low == -2.0
-    broken = chosen_range(Look("height", low=5.0, high=1.0), values)
+    assert chosen_range(ViewSettings("height", low=-2.0), values).low == -2.0
+    broken = chosen_range(ViewSettings("height", low=5.0, high=1.0), values)
     assert broken.high > broken.low == 5.0
 
 
@@ -88,7 +88,7 @@ def test_too_few_points_have_no_plane_and_their_deviation_is_no_value() -> None:
 
 def test_the_legend_says_what_is_clipped_and_which_form_was_removed() -> None:
     values = np.linspace(0.0, 100.0, 1001, dtype=np.float32)
-    legend = legend_of("deviation", Range(10.0, 80.0), values, fit_plane([tile(slope())]))
+    legend = legend_of("deviation", ValueRange(10.0, 80.0), values, fit_plane([tile(slope())]))
     assert (legend.below_percent, legend.above_percent) == (pytest.approx(10, abs=0.2), pytest.approx(20, abs=0.2))
     html = legend_html(legend)
     for words in ("µm", "10.0 % below", "removed: a plane tilted by", "RMS 0.0 µm"):

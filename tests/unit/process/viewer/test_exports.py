@@ -3,7 +3,6 @@ import json
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -12,17 +11,16 @@ import pytest
 from plyfile import PlyData
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.messaging.messages import ResultEnd
-from process.viewer.exports.exports import View, page_html, ply_bytes
 from process.viewer.exports.figure import figure_png
-from process.viewer.exports.files import on_black, report_of
-from process.viewer.exports.results_list import list_scans, open_scan
-from process.viewer.rig_client.feed import Snapshot, TileChanges
+from process.viewer.exports.files import report_of, screenshot_of
+from process.viewer.exports.offline_page import page_html
+from process.viewer.exports.results_list import facts_of, list_scans, open_scan
+from process.viewer.exports.shown_cloud import ShownCloud, ply_bytes
+from process.viewer.rig_client.feed import TileChanges
 from process.viewer.rig_client.tile import Tile
-from process.viewer.stream.colouring import Look
-from process.viewer.stream.point_nodes import Cloud
+from process.viewer.stream.colouring import ViewSettings
+from process.viewer.stream.point_nodes import PointNodes
 from tests.fakes.fake_results import hill_tiles
-from tests.waiting import wait_for
 
 
 def tiles() -> dict[int, Tile]:
@@ -40,12 +38,18 @@ def tiles() -> dict[int, Tile]:
     }
 
 
-def view(**look: Any) -> View:
-    cloud = Cloud(Look(**look))
+def view(**look: Any) -> ShownCloud:
+    cloud = PointNodes(ViewSettings(**look))
     cloud.take(TileChanges(tiles=tiles()))
     cloud.settle(10**12)
-    return View(
-        "a <b>frog</b>", cloud.tiles, cloud.look, cloud.range, cloud.plane, cloud.legend(), [("Outcome", "complete")]
+    return ShownCloud(
+        "a <b>frog</b>",
+        cloud.tiles,
+        cloud.settings,
+        cloud.range,
+        cloud.plane,
+        cloud.legend(),
+        [("Outcome", "complete")],
     )
 
 
@@ -103,7 +107,7 @@ def test_the_page_holds_its_numbers_and_legend_escaped_and_asks_nobody_for_anyth
 
 
 def test_a_page_without_points_is_still_a_page() -> None:
-    empty = View("nothing", {}, Look(), None, None, None)
+    empty = ShownCloud("nothing", {}, ViewSettings(), None, None, None)
     assert "nothing" in page_html(empty)
     assert figure_png(empty).startswith(b"\x89PNG")
 
@@ -118,7 +122,8 @@ def test_the_figure_shows_the_cloud_in_the_colours_of_the_page() -> None:
 def test_a_rendering_without_background_gets_that_of_the_page() -> None:
     half = np.zeros((1, 2, 4), np.uint8)
     half[0, 1] = (200, 100, 50, 255)
-    assert on_black(half)[0].tolist() == [[20, 20, 20], [50, 100, 200]]
+    drawn = cv2.imdecode(np.frombuffer(screenshot_of(half), np.uint8), cv2.IMREAD_COLOR)
+    assert drawn[0].tolist() == [[20, 20, 20], [50, 100, 200]]
 
 
 def test_a_report_of_a_scan_without_results_is_refused_in_one_line(data_dir: Path) -> None:
@@ -128,63 +133,6 @@ def test_a_report_of_a_scan_without_results_is_refused_in_one_line(data_dir: Pat
         assert "\n" not in str(caught.value)
 
 
-def test_going_back_to_the_rigs_own_scan_shows_what_came_meanwhile(data_dir: Path) -> None:
-    panel = _panel(data_dir)
-    first, second, *_ = tiles().items()
-    assert panel.news(TileChanges(tiles=dict([first]))).tiles == dict([first])
-    panel._wanted = "older"
-    panel._show("older", open_scan(list_scans(data_dir)[0]))
-    shown = panel.news(TileChanges(tiles=dict([second])))
-    assert shown.reset
-    assert sum(tile.count for tile in shown.tiles.values()) == 1728
-    assert panel.news(TileChanges(tiles=dict([second]))).tiles == {}
-    panel._open("the rig's own")
-    back = panel.news(TileChanges())
-    assert (back.reset, back.tiles) == (True, dict([first, second]))
-    panel.close()
-
-
-def test_the_points_of_a_finished_scan_are_picked_from_its_file_which_knows_their_quality(data_dir: Path) -> None:
-    entry = list_scans(data_dir)[0]
-    panel = _panel(data_dir)
-    path = str(entry.folder / "cloud.ply")
-    end = ResultEnd(version=1, outcome="complete", folded_through=9, points=1728, cloud_path=path)
-    wait_for(
-        lambda: panel._finished and panel.pickable is panel._finished,
-        "the points of the file",
-        pause=lambda: panel.turn(Snapshot(end=end), 0, watched=True),
-    )
-    assert all(tile.quality is not None for tile in panel.pickable.values())
-    panel.turn(Snapshot(), 0, watched=True)
-    assert panel.pickable == {}
-    panel.close()
-
-
-def _panel(data_dir: Path) -> Any:
-    from process.viewer.panels.scans_panel import ScansPanel
-
-    def widget(*_: Any, **__: Any) -> Any:
-        return SimpleNamespace(
-            value="",
-            content="",
-            options=(),
-            on_update=lambda _callback: None,
-            on_click=lambda _callback: None,
-            __enter__=lambda: None,
-        )
-
-    class Folder:
-        def __enter__(self) -> None: ...
-
-        def __exit__(self, *_: object) -> None: ...
-
-    gui = SimpleNamespace(
-        add_dropdown=widget,
-        add_checkbox=widget,
-        add_html=widget,
-        add_button_group=widget,
-        add_button=widget,
-        add_folder=lambda *_: Folder(),
-    )
-    delivery = SimpleNamespace(cloud=SimpleNamespace(tiles={}))
-    return ScansPanel(SimpleNamespace(gui=gui), data_dir, delivery, lambda: None)
+def test_the_facts_of_a_scan_are_those_of_its_report_and_without_one_it_is_still_running(data_dir: Path) -> None:
+    assert facts_of(data_dir / "20260102T030405Z-frog") == [("Outcome", "stopped"), ("Points", "1728")]
+    assert facts_of(data_dir / "20260101T000000Z-empty") == facts_of(None) == [("Outcome", "still running")]

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from process.viewer.panels.picking import Distance, Picked, Ray, measurements_csv, pick, profile, quality_words
-from process.viewer.rig_client.tile import Bounds, Tile
+from process.viewer.panels.picking import Distance, PickedPoint, Ray, measurements_csv, pick, profile, quality_words
+from process.viewer.rig_client.tile import BoundingBox, Tile
 
 DOWN = Ray((0.0, 0.0, 50.0), (0.0, 0.0, -2.0), 0.001)
 
@@ -20,8 +20,10 @@ def tile(xyz: list[tuple[float, float, float]], origin: tuple[float, float, floa
     )
 
 
-def at(x: float, y: float, z: float, sigma_um: float = 0.0, along: tuple[float, float, float] | None = None) -> Picked:
-    return Picked((x, y, z), sigma_um, 0.0, 0, provisional=False, along=along)
+def at(
+    x: float, y: float, z: float, sigma_um: float = 0.0, along: tuple[float, float, float] | None = None
+) -> PickedPoint:
+    return PickedPoint((x, y, z), sigma_um, 0.0, 0, provisional=False, along=along)
 
 
 def test_a_click_snaps_to_a_real_point_and_tells_all_of_it() -> None:
@@ -45,7 +47,7 @@ def test_where_nothing_is_before_the_eye_nothing_is_picked(points: list[tuple[fl
 
 
 def test_what_is_clipped_away_cannot_be_picked() -> None:
-    found = pick([tile([(0.0, 0, 4), (0.0, 0, 1)])], DOWN, 0.01, None, Bounds((-1, -1, 0), (1, 1, 2)))
+    found = pick([tile([(0.0, 0, 4), (0.0, 0, 1)])], DOWN, 0.01, None, BoundingBox((-1, -1, 0), (1, 1, 2)))
     assert found is not None
     assert found.xyz_mm[2] == pytest.approx(1.0)
 

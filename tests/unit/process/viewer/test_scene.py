@@ -1,7 +1,8 @@
-"""Where the eye and the light stand; no server needed."""
+"""Where cameras and light are; no server needed."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import math
@@ -16,13 +17,14 @@ import pytest
 from acquire.contract.calibration import Calibration, parse_calibration
 from acquire.contract.messaging.messages import Status
 from acquire.contract.plan import SweepPlan
-from process.viewer.rig_client.tile import Bounds
-from process.viewer.scene.camera_views import ECHO_NS, Framing, Pose, overview
-from process.viewer.scene.polylines import box_edges, field_of_view, light_at, sheet
+from process.viewer.rig_client.tile import BoundingBox
+from process.viewer.scene.camera_views import DEFAULT_BOUNDS, ECHO_NS, CameraPose, CameraViews, overview
+from process.viewer.scene.geometry import box_edges, field_of_view, light_at, sheet
 from process.viewer.scene.rig_marks import travel_of
-from process.viewer.scene.scene import CalibrationBook, nice_length_mm
+from process.viewer.scene.scene import CalibrationLookup
 
-BOX = Bounds((-5.0, -4.0, 0.0), (5.0, 4.0, 3.0))
+BOX = BoundingBox((-5.0, -4.0, 0.0), (5.0, 4.0, 3.0))
+LARGE = BoundingBox((-50.0, -40.0, 0.0), (50.0, 40.0, 3.0))
 PLAN = SweepPlan(first_steps=0, last_steps=300, steps_per_frame=3, um_per_microstep=3.175)
 
 
@@ -36,13 +38,39 @@ class Still:
         return self.ns
 
 
-def page_without_browsers() -> Any:
-    return SimpleNamespace(
-        initial_camera=SimpleNamespace(),
-        on_client_connect=lambda callback: None,
-        on_client_disconnect=lambda callback: None,
-        get_clients=dict,
-    )
+class Server:
+    """As much of viser's server as the cameras need."""
+
+    def __init__(self) -> None:
+        self.initial_camera = SimpleNamespace()
+        self.clients: dict[int, Any] = {}
+
+    def on_client_connect(self, callback: Any) -> None:
+        self._joined = callback
+
+    def on_client_disconnect(self, callback: Any) -> None:
+        self._left = callback
+
+    def get_clients(self) -> dict[int, Any]:
+        return self.clients
+
+    def join(self, client_id: int) -> Any:
+        """A browser comes; ``browser.move(pose)`` is what its person does."""
+        callbacks: list[Any] = []
+        camera = SimpleNamespace(aspect=1.6, on_update=callbacks.append)
+        browser = SimpleNamespace(client_id=client_id, camera=camera, atomic=contextlib.nullcontext)
+
+        def move(pose: CameraPose) -> None:
+            camera.position, camera.look_at = pose.eye, pose.target
+            asyncio.run(callbacks[0](camera))
+
+        browser.move = move
+        self.clients[client_id] = browser
+        asyncio.run(self._joined(browser))
+        return browser
+
+    def leave(self, client_id: int) -> None:
+        asyncio.run(self._left(self.clients.pop(client_id)))
 
 
 def calibration(light: dict[str, Any]) -> Calibration:
@@ -80,42 +108,52 @@ def test_the_whole_box_is_in_view_of_the_overview_and_fills_it() -> None:
 
 
 def test_new_browsers_start_at_the_overview_of_the_cloud() -> None:
-    page = page_without_browsers()
-    Framing(page, Still()).follow(BOX)
-    assert page.initial_camera.look_at == pytest.approx(BOX.centre)
-    assert page.initial_camera.near < BOX.radius_mm / 10
+    server = Server()
+    CameraViews(server, Still()).follow(BOX)
+    assert server.initial_camera.look_at == pytest.approx(BOX.centre)
+    assert server.initial_camera.near < BOX.radius_mm / 10
 
 
 def test_a_camera_that_a_person_moved_is_not_followed_any_more_and_an_echo_is_no_person() -> None:
-    clock = Still()
-    framing = Framing(page_without_browsers(), clock)
-    viewer = framing._viewers[7] = _viewer(framing, clock)
-    elsewhere = Pose(viewer.set_to.eye * 1.5, viewer.set_to.target)
-    framing._moved(7, elsewhere)
-    assert viewer.follows, "what comes back at once is our own setting"
+    server, clock = Server(), Still()
+    views = CameraViews(server, clock)
+    echoing, standing, moved, left = (server.join(number) for number in range(4))
+    seen = overview(DEFAULT_BOUNDS)
+    elsewhere = CameraPose(seen.eye * 1.5, seen.target)
+    echoing.move(elsewhere)  # what comes back at once is our own setting
     clock.ns += 2 * ECHO_NS
-    framing._moved(7, viewer.set_to)
-    assert viewer.follows, "standing where it was put is not moving"
-    framing._moved(7, elsewhere)
-    assert not viewer.follows
+    standing.move(seen)  # standing where it was put is not moving
+    moved.move(elsewhere)
+    server.leave(3)
+    views.follow(LARGE)
+    for browser in (echoing, standing):
+        assert browser.camera.look_at == pytest.approx(LARGE.centre)
+    assert moved.camera.look_at == pytest.approx(elsewhere.target)
+    assert not hasattr(left.camera, "look_at")
 
 
 def test_a_named_view_is_taken_by_the_browser_that_asks_and_kept_while_the_cloud_grows() -> None:
-    page = page_without_browsers()
-    asks, other = browser(1), browser(2)
-    page.get_clients = lambda: {1: asks, 2: other}
-    framing = Framing(page, Still())
-    framing.fit(asks, "Top")
-    framing.follow(Bounds((-50.0, -40.0, 0.0), (50.0, 40.0, 3.0)))
+    server = Server()
+    views = CameraViews(server, Still())
+    asks, other = server.join(1), server.join(2)
+    views.fit(asks, "Top")
+    assert not hasattr(other.camera, "position")
+    views.follow(LARGE)
     eye = np.asarray(asks.camera.position) - asks.camera.look_at
     assert eye[2] / np.linalg.norm(eye) > 0.999
-    assert not hasattr(other.camera, "position")
     with pytest.raises(KeyError):
-        framing.fit(asks, "Behind")
+        views.fit(asks, "Behind")
 
 
-def browser(client_id: int) -> Any:
-    return SimpleNamespace(client_id=client_id, camera=SimpleNamespace(), atomic=contextlib.nullcontext)
+def test_a_person_who_asks_for_a_view_is_followed_again() -> None:
+    server, clock = Server(), Still()
+    views = CameraViews(server, clock)
+    browser = server.join(1)
+    clock.ns += 2 * ECHO_NS
+    browser.move(CameraPose(np.array([9.0, 9.0, 9.0]), np.zeros(3)))
+    views.fit(browser)
+    views.follow(LARGE)
+    assert browser.camera.look_at == pytest.approx(LARGE.centre)
 
 
 @pytest.mark.parametrize(
@@ -146,21 +184,15 @@ def test_before_the_first_scan_the_rigs_own_calibration_is_drawn_and_a_broken_on
     good, bad = tmp_path / "calibration.json", tmp_path / "broken.json"
     good.write_bytes(msgspec.json.encode(known))
     bad.write_text("{")
-    assert CalibrationBook(Still(), str(good)).of("") == known
-    assert CalibrationBook(Still(), str(bad)).of("") is None
-    assert CalibrationBook(Still(), str(good)).of(str(tmp_path / "scan-without-any")) is None
+    assert CalibrationLookup(Still(), str(good)).of("") == known
+    assert CalibrationLookup(Still(), str(bad)).of("") is None
+    assert CalibrationLookup(Still(), str(good)).of(str(tmp_path / "scan-without-any")) is None
 
 
 def test_the_edges_of_a_box_are_twelve() -> None:
     edges = box_edges(BOX)
     assert edges.shape == (12, 2, 3)
     assert sorted(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).tolist()) == [3.0] * 4 + [8.0] * 4 + [10.0] * 4
-
-
-def _viewer(framing: Framing, clock: Still) -> Any:
-    from process.viewer.scene.camera_views import _Viewer
-
-    return _Viewer(overview(framing._bounds), clock.now_ns())
 
 
 def test_the_field_of_view_on_the_floor_is_that_of_the_pinhole() -> None:
@@ -197,8 +229,3 @@ def test_the_sheet_of_light_lies_in_its_plane_and_is_not_drawn_far_from_the_obje
     assert corners is not None
     assert corners @ normal == pytest.approx(np.ones(4))
     assert sheet(normal, 500.0, BOX) is None
-
-
-@pytest.mark.parametrize(("length", "nice"), [(0.9, 1.0), (1.0, 1.0), (1.3, 2.0), (0.021, 0.05), (7.0, 10.0)])
-def test_the_floor_has_cells_of_a_nice_length(length: float, nice: float) -> None:
-    assert nice_length_mm(length) == pytest.approx(nice)

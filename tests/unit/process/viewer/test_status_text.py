@@ -42,7 +42,7 @@ def test_a_daemon_that_went_away_leaves_its_numbers_marked_as_old() -> None:
 
 def test_a_daemon_that_is_there_but_silent_is_not_shown_as_live() -> None:
     frozen = rig(daemon=Peer(connected=True, heard_ns=NOW_NS - 7 * NS_PER_S))
-    assert heading(frozen, NOW_NS).words == "no word from the rig for 7 s"
+    assert heading(frozen, NOW_NS).words == "no status from the rig for 7 s"
     assert not heading(frozen, NOW_NS).live
 
 
@@ -61,7 +61,7 @@ def test_a_worker_that_hangs_in_mid_sweep_is_named_with_its_lag() -> None:
     status = Status(state="sweeping", scan_path="/x", scan_uid="a", committed=90, writer_alive=True)
     progress = ResultProgress(version=1, folded_through=49, expected=527, points_settled=5)
     hung = rig(status=status, progress=progress, worker=Peer(connected=True, heard_ns=NOW_NS - 8 * NS_PER_S))
-    assert "No word from the worker for 8 s; the cloud is 40 frames behind" in said(hung)
+    assert "No message from the worker for 8 s; the cloud is 40 frames behind" in said(hung)
 
 
 def test_what_the_worker_lacks_is_repeated_in_its_words() -> None:

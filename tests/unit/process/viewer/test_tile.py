@@ -4,7 +4,7 @@ import pytest
 from acquire.contract.errors import ProtocolError
 from acquire.contract.messaging.messages import ResultTiles, TileHeader
 from acquire.contract.messaging.point_record import POINT
-from process.viewer.rig_client.tile import Bounds, Tile, bounds_of, merged, parse_tiles, power_of_two
+from process.viewer.rig_client.tile import BoundingBox, Tile, bounding_box_of, merged, parse_tiles, power_of_two
 
 
 def message(*headers: TileHeader) -> ResultTiles:
@@ -44,7 +44,7 @@ def test_a_payload_of_another_length_than_announced_is_refused() -> None:
 
 def test_a_box_keeps_what_is_inside_wherever_the_tile_has_its_origin() -> None:
     tile = tile_of(np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), (100.0, 0.0, 0.0))
-    kept = tile.inside(Bounds((100.5, -1.0, -1.0), (102.0, 1.0, 1.0)))
+    kept = tile.inside(BoundingBox((100.5, -1.0, -1.0), (102.0, 1.0, 1.0)))
     assert kept.points_mm()[:, 0].tolist() == [101.0, 102.0]
 
 
@@ -73,13 +73,13 @@ def test_what_a_strong_thinning_keeps_a_weaker_one_keeps_too() -> None:
 def test_a_stray_point_does_not_move_the_bounds() -> None:
     xyz = np.random.default_rng(1).uniform(-1, 1, (2000, 3))
     xyz[77] = (500.0, 0.0, 0.0)
-    box = bounds_of([tile_of(xyz)])
+    box = bounding_box_of([tile_of(xyz)])
     assert box is not None
     assert box.high[0] < 1.0
 
 
 def test_no_points_have_no_bounds() -> None:
-    assert bounds_of([tile_of(np.zeros((0, 3)))]) is None
+    assert bounding_box_of([tile_of(np.zeros((0, 3)))]) is None
 
 
 def test_merged_tiles_keep_every_point_where_it_was() -> None:

@@ -1,6 +1,6 @@
-"""Owns the measuring tool: picked points, distances between them, their marks in the scene; the same for all browsers.
+"""The measuring tool: picked points, distances between them, their marks in the scene; the same for all browsers.
 
-Clicks only put rays into a queue; the main loop, which owns the cloud, answers them.
+Clicks only put rays into a queue; the main loop, which alone changes the cloud, answers them.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from viser import uplot
 
 from process.viewer.markup import html_of
 from process.viewer.rig_client.tile import Tile
-from process.viewer.stream.point_nodes import Cloud
+from process.viewer.stream.point_nodes import PointNodes
 
-from .picking import Distance, Picked, Profile, Ray, measurements_csv, pick, profile, quality_words
+from .picking import Distance, PickedPoint, Profile, Ray, measurements_csv, pick, profile, quality_words
 from .widgets import write
 
 MARK_RGB = (255, 92, 168)
@@ -33,16 +33,16 @@ WAITING = 8
 NONE = "none yet"
 
 
-class Measuring:
+class MeasurePanel:
     """The widgets, the list and the marks."""
 
-    def __init__(self, server: viser.ViserServer, cloud: Cloud, wake: Callable[[], None]) -> None:
+    def __init__(self, server: viser.ViserServer, nodes: PointNodes, wake: Callable[[], None]) -> None:
         self._server = server
-        self._cloud = cloud
+        self._nodes = nodes
         self._wake = wake
         self._rays: queue.Queue[tuple[Ray, viser.ClientHandle]] = queue.Queue(WAITING)
         self._jobs: queue.Queue[Callable[[], None]] = queue.Queue(WAITING)
-        self._first: Picked | None = None
+        self._first: PickedPoint | None = None
         self._distances: dict[str, Distance] = {}
         self._made = 0
         self._marks: list[Any] = []
@@ -64,9 +64,7 @@ class Measuring:
 
     async def _switch(self, _event: Any) -> None:
         if self._on.value:
-            clicked: Any = (
-                self._clicked
-            )  # a coroutine, so that clicks keep their order; viser's types know only functions
+            clicked: Any = self._clicked  # a coroutine keeps the order of clicks; viser's types know only functions
             self._server.scene.on_click()(clicked)
         else:
             self._server.scene.remove_click_callback("all")
@@ -106,8 +104,8 @@ class Measuring:
             self._jobs.get_nowait()()
         while not self._rays.empty():
             ray, client = self._rays.get_nowait()
-            least_mm = self._cloud.size_mm(self._cloud.fine) / 2
-            found = pick(tiles.values(), ray, least_mm, eye_mm, self._cloud.look.box)
+            least_mm = self._nodes.size_mm(self._nodes.fine) / 2
+            found = pick(tiles.values(), ray, least_mm, eye_mm, self._nodes.settings.box)
             if found is None:
                 client.add_notification("No data here", "Click on a point of the cloud.", auto_close_seconds=3)
             else:
@@ -119,7 +117,7 @@ class Measuring:
             self.scan = scan
             self._delete_all()
 
-    def _take(self, picked: Picked) -> None:
+    def _take(self, picked: PickedPoint) -> None:
         if self._first is None or len(self._distances) >= MOST:
             self._first = picked
         else:
@@ -160,7 +158,7 @@ class Measuring:
         write(self._which, options=tuple(self._distances) or (NONE,), disabled=not self._distances)
         write(self._which, value=chosen)
 
-    def _say_list(self, picked: Picked | None = None) -> None:
+    def _say_list(self, picked: PickedPoint | None = None) -> None:
         hint = "Click the second point." if self._first is not None else "Click the first point."
         html = html_of(
             "measurements.html",
@@ -176,7 +174,7 @@ class Measuring:
         for mark in self._marks:
             mark.remove()
         self._marks.clear()
-        bounds = self._cloud.bounds()
+        bounds = self._nodes.bounds()
         radius = MARK_SHARE * bounds.radius_mm if bounds is not None else 0.05
         ends = [self._first] if self._first is not None else []
         scene = self._server.scene
@@ -203,10 +201,10 @@ class Measuring:
 
     def _show_profile(self) -> None:
         chosen = self._distances.get(str(self._which.value))
-        bounds = self._cloud.bounds()
+        bounds = self._nodes.bounds()
         found = None
         if chosen is not None and bounds is not None:
-            found = profile(self._cloud.tiles.values(), chosen, PROFILE_SHARE * bounds.radius_mm)
+            found = profile(self._nodes.tiles.values(), chosen, PROFILE_SHARE * bounds.radius_mm)
         if self._plot is not None:
             self._plot.remove()
             self._plot = None

@@ -1,4 +1,4 @@
-"""Pure: what a calibration tells about the space of a scan: the field of view on z = 0, and where the light stands."""
+"""What a calibration tells about the space of a scan: the field of view on z = 0, and where the light is. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, CameraModel, PerFramePlanes
 from acquire.contract.plan import SweepPlan
-from process.viewer.rig_client.tile import Bounds
+from process.viewer.rig_client.tile import BoundingBox
 
 MAX_FIELD_MM = 10_000.0
 REACH = 1.5
@@ -24,7 +24,7 @@ def camera_eye(camera: CameraModel) -> NDArray[np.float64]:
     return eye
 
 
-def field_of_view(camera: CameraModel) -> Bounds | None:
+def field_of_view(camera: CameraModel) -> BoundingBox | None:
     """The box around the image's corners projected onto z = 0 (docs/design.md, section 5); None if a ray misses it."""
     rotation, translation = np.asarray(camera.R), np.asarray(camera.T)
     corners = np.array(
@@ -39,7 +39,7 @@ def field_of_view(camera: CameraModel) -> Bounds | None:
     if (along <= 0).any() or not (np.abs(points) < MAX_FIELD_MM).all():
         return None
     low, high = points.min(axis=0), points.max(axis=0)
-    return Bounds((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), 0.0))
+    return BoundingBox((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), 0.0))
 
 
 def light_at(
@@ -70,7 +70,7 @@ def light_at(
     return normal / length, offset / length
 
 
-def sheet(normal: NDArray[np.float64], offset: float, bounds: Bounds) -> NDArray[np.float64] | None:
+def sheet(normal: NDArray[np.float64], offset: float, bounds: BoundingBox) -> NDArray[np.float64] | None:
     """Four corners, shape [4, 3] in mm, of the piece of the plane that stands over the floor of ``bounds``.
 
     It is as wide as the box, and reaches from z = 0 a little over the box. None where the plane passes the box by.
@@ -92,7 +92,7 @@ def sheet(normal: NDArray[np.float64], offset: float, bounds: Bounds) -> NDArray
     return np.array([centre + a * half * level + b * rise for a, b in ((-1, low), (1, low), (1, high), (-1, high))])
 
 
-def box_edges(box: Bounds) -> NDArray[np.float32]:
+def box_edges(box: BoundingBox) -> NDArray[np.float32]:
     """The twelve edges of a box as line segments, shape [12, 2, 3] in mm."""
     ends = np.array([box.low, box.high])
     corners = [np.array([ends[i, 0], ends[j, 1], ends[k, 2]]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]

@@ -1,4 +1,4 @@
-"""Pure: which browser may move the rig: nobody holds control, then any; somebody does, then that one alone."""
+"""Which browser may move the rig: any while no client holds control, else its holder alone. Pure."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from acquire.contract.permissions import needs_control
 from acquire.contract.units import NS_PER_S
 
 RENEW_NS = 3 * NS_PER_S
-"""Control lapses 10 s after its holder's last word; a browser that is connected keeps it."""
+"""Control lapses 10 s after its holder's last command; a browser that is connected keeps it."""
 
 
 @dataclass
-class Lease:
+class BrowserControl:
     """The names under which this page's browsers are known to the daemon."""
 
     page: str = field(default_factory=lambda: secrets.token_hex(2))
