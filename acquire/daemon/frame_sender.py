@@ -17,7 +17,6 @@ from acquire.contract.process.log_throttle import log_now_and_then
 from acquire.contract.units import NS_PER_S
 from acquire.sweep.credit_window import FrameKey
 from acquire.sweep.events import Committed, LaneEvent, Refused, Sealed, WriterReady
-from acquire.sweep.writer_nacks import FOR_GOOD
 
 logger = logging.getLogger(__name__)
 RETRY_NS = 1 * NS_PER_S
@@ -203,15 +202,16 @@ class FrameSender:
 
     def _take_nack(self, message: Nack, now_ns: int) -> LaneEvent:
         self.counters["nacks"] += 1
+        event = Refused(message)
         if message.reason in ("no space", "io error", "crc", "shape", "busy"):
             self._retry_at_ns = now_ns + RETRY_NS
-        elif message.reason in FOR_GOOD and message.frame_index >= 0:
+        elif event.is_final:
             # sending it again would change nothing; the end will name it as missing
             self.unacked.pop((message.role, message.frame_index), None)
         elif message.reason == "no such scan" and self._writer is not None:
             self._writer.acknowledged = False
             self._greet()
-        return Refused(message)
+        return event
 
     def _replay(self) -> None:
         for frame in sorted(self.unacked.values(), key=lambda frame: frame.image.frame_index):

@@ -110,7 +110,7 @@ class RunningScan:
         except OSError as error:
             logger.warning("the folder of the scan cannot be read any more: %s", error)
             return
-        if not left and self.sweep.finish.end_ack is None:
+        if not left and self.sweep.end_ack is None:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _carry_out(self, actions: list[do.Action]) -> None:

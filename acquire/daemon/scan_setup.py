@@ -278,6 +278,6 @@ def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
         dark_frames=rig.sweep.dark_frames,
         repeat_first=rig.sweep.repeat_first,
         check_limit=rig.sweep.check_limit,
-        needs_proof=rig.stage.kind == "uno",
+        needs_confirmation=rig.stage.kind == "uno",
         time_scale=rig.time_scale,
     )

@@ -119,7 +119,7 @@ class ScanSupervisor:
         self.running = None
         for state in (State.FINISHING, State.IDLE):
             self._board.enter(state)
-        reason = f" ({sweep.finish.reason})" if sweep.finish.reason else ""
+        reason = f" ({sweep.reason})" if sweep.reason else ""
         self._board.say(outcome_words(sweep.outcome, last.committed, last.expected) + reason)
 
     def interrupt(self, now_ns: int) -> None:
@@ -182,7 +182,7 @@ class ScanSupervisor:
             received=sweep.intake.counters["received"],
             committed=committed,
             durable=sweep.durable,
-            retaken=sweep.retaken,
+            retaken=len(sweep.retaken),
             missing=sweep.count - committed if scan.done else 0,
             credit=max(0, window.free()),
             window=window.slots,

@@ -30,7 +30,7 @@ class CreditWindow:
     conflicts: int = 0
     """Frames of which the file holds another version, or that it cannot take."""
     triggered_through: int = -1
-    """The highest frame index that was triggered in this segment or before it."""
+    """The highest frame that was triggered in the segment; the one before its first where none was."""
     holds: int = 0
     """How often the stage had to wait for the writer."""
     short: bool = False
@@ -39,8 +39,7 @@ class CreditWindow:
     """A segment is under way."""
     first: int = 0
     """First frame of the segment."""
-    granted: int = -1
-    """Last frame of the segment that may be triggered."""
+    _granted: int = -1
     _last: int = -1
     _gated: bool = True
 
@@ -86,7 +85,7 @@ class CreditWindow:
         return self.may_trigger_through() - self.triggered_through
 
     def begin(self, first: int, last: int, *, gated: bool, ahead: int | None) -> int:
-        """A segment over the frames first..last begins; returns the last frame that may be triggered at once.
+        """A segment over the frames first..last begins; returns the last of its shots that may be fired at once.
 
         Args:
             first: index of its first frame.
@@ -96,24 +95,31 @@ class CreditWindow:
         """
         self.first, self._last, self._gated, self.running = first, last, gated, True
         self.triggered_through = first - 1
-        self.granted = self._credit(ahead) if gated else last
-        return self.granted
+        self._granted = self._credit(ahead) if gated else last
+        return self._granted - self.first
+
+    def trigger(self, frame_index: int) -> bool:
+        """Book a trigger; False if the frame had no credit in this segment."""
+        if not self.first <= frame_index <= self._granted:
+            return False
+        self.triggered_through = max(self.triggered_through, frame_index)
+        return True
 
     def grant(self, ahead: int | None) -> int | None:
-        """Raise the credit of the segment; returns the last frame that may be triggered, None where nothing changes."""
+        """Raise the credit of the segment; returns the last shot that may be fired, None where nothing changes."""
         if not self.running or not self._gated or self._must_wait():
             return None
         credit = self._credit(ahead)
-        if credit <= self.granted:
+        if credit <= self._granted:
             return None
-        self.granted = credit
-        return credit
+        self._granted = credit
+        return credit - self.first
 
     def awaits_trigger(self) -> bool:
         """True while a trigger that has credit, or the segment's end, is still to come from the stage."""
         if not self.running:
             return False
-        return self.triggered_through < self.granted or self.triggered_through == self._last
+        return self.triggered_through < self._granted or self.triggered_through == self._last
 
     def _must_wait(self) -> bool:
         free = self.free()

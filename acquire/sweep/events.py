@@ -32,9 +32,14 @@ class Committed:
 
 @dataclass(frozen=True)
 class Refused:
-    """The writer refused something and says why."""
+    """The writer refused a frame, or the scan, and says why."""
 
     nack: Nack
+
+    @property
+    def is_final(self) -> bool:
+        """The writer will never take this frame; sending it again would change nothing."""
+        return self.nack.reason in ("immutable", "protocol") and self.nack.frame_index >= 0
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ doubtful frames are taken again (:mod:`acquire.sweep.retakes`).
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +18,7 @@ from acquire.contract.units import steps_to_um
 from acquire.stages.protocol import Triggered
 
 from .actions import Publish
-from .confirmation import Confirmation
+from .credit_window import CreditWindow
 from .pairing import Pairing, Shot
 from .settings import SweepSettings
 
@@ -51,10 +52,38 @@ class Arrival:
 
 
 @dataclass
+class Confirmation:
+    """Frames that wait until the controller confirms that it did not stop during their exposure.
+
+    An emergency stop or a restart of the controller puts the lamp out. The dark frame of that moment arrives before the
+    alarm; committed, it could not be taken again. So a frame is published only after the controller was heard to be
+    without an alarm after the end of its exposure. The credit window bounds how many frames can wait.
+    """
+
+    waiting: deque[tuple[int, Publish]] = field(default_factory=deque)
+    """Frames in order, each with the end of its exposure (CLOCK_MONOTONIC, ns)."""
+
+    def confirmed(self, no_alarm_ns: int | None) -> list[Publish]:
+        """Take out the frames whose exposure had ended at ``no_alarm_ns``; None: nothing is known of the controller."""
+        found = []
+        while self.waiting and no_alarm_ns is not None and self.waiting[0][0] <= no_alarm_ns:
+            found.append(self.waiting.popleft()[1])
+        return found
+
+    def drop(self) -> list[int]:
+        """Give all up; returns the frame indices of those of the sweep."""
+        images = [publish.image for _, publish in self.waiting]
+        self.waiting.clear()
+        return [image.frame_index for image in images if image.role == "sweep"]
+
+
+@dataclass
 class FrameIntake:
     """Everything that the camera and the trigger reports bring goes through here."""
 
     settings: SweepSettings
+    window: CreditWindow
+    """Learns of each frame that is published."""
     counters: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
     pairing: Pairing = field(default_factory=Pairing)
     _early: list[tuple[CameraFrame, int]] = field(default_factory=list)
@@ -63,7 +92,13 @@ class FrameIntake:
     """The controller has failed: no frame that comes now can be trusted."""
 
     def __post_init__(self) -> None:
-        self.confirmation = Confirmation(self.settings.needs_proof)
+        self._exposure_ns = self.settings.exposure_ns
+        self._confirmation = Confirmation()
+
+    @property
+    def is_settled(self) -> bool:
+        """True when every frame that was taken is committed, or refused for good."""
+        return not self._confirmation.waiting and not self.window.unacked
 
     # ---- triggers ----
 
@@ -84,9 +119,8 @@ class FrameIntake:
 
     def triggered(self, event: Triggered, frame_index: int, attempt: int, now_ns: int) -> None:
         """A trigger was fired for ``frame_index``: its frame is awaited from now on."""
-        settings = self.settings
-        um = steps_to_um(event.position_steps, settings.plan.um_per_microstep)
-        self.pairing.triggered(
+        um = steps_to_um(event.position_steps, self.settings.plan.um_per_microstep)
+        shot = Shot(
             frame_index=frame_index,
             attempt=attempt,
             trigger_id=event.trigger_id,
@@ -94,9 +128,10 @@ class FrameIntake:
             position_um=um if event.position_um is None else event.position_um,
             trigger_cycles=event.trigger_cycles,
             at_mono_ns=event.at_mono_ns or now_ns,
-            deadline_ns=now_ns + settings.exposure_ns + settings.frame_timeout_ns,
+            deadline_ns=now_ns + self._exposure_ns + self.settings.frame_timeout_ns,
             fired_ns=event.fired_ns,
         )
+        self.pairing.triggered(shot)
 
     # ---- frames ----
 
@@ -135,7 +170,7 @@ class FrameIntake:
             return Arrival(None, (*losses, Loss((match.shot,), "F19", wrong)))
         return Arrival(match.shot, losses)
 
-    def publish(self, frame: CameraFrame, shot: Shot, role: Role) -> list[Publish]:
+    def take(self, frame: CameraFrame, shot: Shot, role: Role) -> list[Publish]:
         """Publish a frame: at once, or when the controller was heard after the exposure (then the list is empty)."""
         image = Image(
             scan_uid=self.settings.scan_uid,
@@ -150,10 +185,14 @@ class FrameIntake:
             exposure_start_ns=frame.exposure_start_ns,
             **_pixel_fields(frame, self.settings.format),
         )
-        exposed_until_ns = (frame.exposure_start_ns or shot.at_mono_ns) + self.settings.exposure_ns
-        return self.confirmation.add(Publish(image, frame.pixels), exposed_until_ns)
+        publish = Publish(image, frame.pixels)
+        if not self.settings.needs_confirmation:
+            return self._publish([publish])
+        exposed_until_ns = (frame.exposure_start_ns or shot.at_mono_ns) + self._exposure_ns
+        self._confirmation.waiting.append((exposed_until_ns, publish))
+        return []
 
-    def publish_ambient(self, frame: CameraFrame, position_steps: int) -> list[Publish]:
+    def take_ambient(self, frame: CameraFrame, position_steps: int) -> list[Publish]:
         """Publish a frame without a trigger, taken at ``position_steps`` (microsteps); none if it came damaged."""
         settings = self.settings
         self.pairing.note_clock(frame.exposure_start_ns)
@@ -170,7 +209,16 @@ class FrameIntake:
             exposure_start_ns=frame.exposure_start_ns,
             **_pixel_fields(frame, settings.format),
         )
-        return [Publish(image, frame.pixels)]
+        return self._publish([Publish(image, frame.pixels)])
+
+    def confirm(self, no_alarm_ns: int | None) -> list[Publish]:
+        """The controller was without an alarm at ``no_alarm_ns`` (CLOCK_MONOTONIC): publish what was exposed."""
+        return self._publish(self._confirmation.confirmed(no_alarm_ns))
+
+    def _publish(self, frames: list[Publish]) -> list[Publish]:
+        for frame in frames:
+            self.window.publish(frame.image)
+        return frames
 
     # ---- losses ----
 
@@ -192,7 +240,7 @@ class FrameIntake:
         Returns:
             the frame indices that are not taken any more.
         """
-        dropped = self.confirmation.drop()
+        dropped = self._confirmation.drop()
         self.counters["doubtful"] += len(dropped) + len(self.pairing.drop_all())
         self._failed = True
         return dropped

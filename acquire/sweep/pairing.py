@@ -23,10 +23,10 @@ class Shot:
     trigger_cycles: int
     at_mono_ns: int
     deadline_ns: int
-    expected_camera_id: int | None
-    """None until the first frame after arming has shown where the camera's counter stands."""
     fired_ns: int = 0
     """When it was fired by the controller's own clock; 0 unknown."""
+    expected_camera_id: int | None = None
+    """None until the first frame after arming has shown where the camera's counter stands."""
 
 
 @dataclass(frozen=True)
@@ -92,35 +92,10 @@ class Pairing:
         """A frame of the camera says when it was exposed (host's clock; 0: it does not)."""
         self._on_host_clock |= exposure_start_ns > 0
 
-    def triggered(
-        self,
-        *,
-        frame_index: int,
-        attempt: int,
-        trigger_id: int,
-        position_steps: int,
-        position_um: float,
-        trigger_cycles: int,
-        at_mono_ns: int,
-        deadline_ns: int,
-        fired_ns: int = 0,
-    ) -> None:
-        """A trigger was fired at ``position_steps`` (microsteps)."""
+    def triggered(self, shot: Shot) -> None:
+        """A trigger was fired: its frame is awaited, with the next id of the camera."""
         expected = None if self._last_camera_id is None else self._last_camera_id + 1 + len(self.pending)
-        self.pending.append(
-            Shot(
-                frame_index,
-                attempt,
-                trigger_id,
-                position_steps,
-                position_um,
-                trigger_cycles,
-                at_mono_ns,
-                deadline_ns,
-                expected,
-                fired_ns,
-            )
-        )
+        self.pending.append(replace(shot, expected_camera_id=expected))
 
     def frame(
         self, camera_frame_id: int, exposure_start_ns: int, camera_ns: int = 0, *, apart_ns: int | None = None

@@ -64,8 +64,8 @@ class SweepSettings:
     dark_frames: bool = True
     repeat_first: bool = True
     check_limit: bool = False
-    needs_proof: bool = False
-    """A frame counts only when the controller was heard to be sound after its exposure."""
+    needs_confirmation: bool = False
+    """A frame is published only after the controller was heard to be without an alarm after its exposure."""
     time_scale: float = 1.0
     """Of simulated durations; time-outs stay as they are."""
     resume: ResumeFrom | None = None

@@ -93,9 +93,9 @@ def _no_look_at_times() -> None:
 
 
 def _no_retake() -> None:
-    from acquire.sweep.state_machine import Sweep
+    from acquire.sweep import state_machine
 
-    _replace(Sweep, "_retake", lambda *_args: [])
+    _replace(state_machine, "_retake", lambda *_args: [])
 
 
 def _no_format_check() -> None:
@@ -173,14 +173,14 @@ def _no_bounds() -> None:
 
 
 def _no_writer_time_out() -> None:
-    from acquire.sweep.state_machine import Sweep
+    from acquire.sweep import state_machine
 
-    real = Sweep._time_is_up
+    real = state_machine._time_is_up
 
-    def time_is_up(self: Any, now_ns: int) -> Any:
-        return [] if self.phase.name == "WAIT_WRITER" else real(self, now_ns)
+    def time_is_up(sweep: Any, now_ns: int) -> Any:
+        return [] if sweep.phase.name == "WAIT_WRITER" else real(sweep, now_ns)
 
-    _replace(Sweep, "_time_is_up", time_is_up)
+    _replace(state_machine, "_time_is_up", time_is_up)
 
 
 def _no_mark() -> None:
@@ -328,9 +328,9 @@ def _no_lease() -> None:
 
 def _no_alarm() -> None:
     from acquire.stages.protocol import Alarm
-    from acquire.sweep.state_machine import _HANDLERS
+    from acquire.sweep.state_machine import HANDLERS
 
-    _HANDLERS[Alarm] = lambda *_args: []
+    HANDLERS[Alarm] = lambda *_args: []
 
 
 def can_be_taken_away(name: str) -> bool:

@@ -7,6 +7,7 @@ import pytest
 
 from acquire.cameras.protocol import CameraFrame
 from acquire.stages.protocol import Triggered
+from acquire.sweep.credit_window import CreditWindow
 from acquire.sweep.frame_intake import FrameIntake
 from tests.unit.sweep_bench import MS, settings
 
@@ -19,7 +20,7 @@ def frame(camera_frame_id: int, camera_ms: int) -> CameraFrame:
 
 @pytest.fixture
 def intake() -> FrameIntake:
-    made = FrameIntake(settings())
+    made = FrameIntake(settings(), CreditWindow(100))
     made.arm(NOW_NS)
     return made
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from acquire.sweep.pairing import Pairing, Spacing
+from acquire.sweep.pairing import Pairing, Shot, Spacing
 
 MS = 1_000_000
 
 
 def fire(pairing: Pairing, frame_index: int, at_ms: int, attempt: int = 0) -> None:
-    pairing.triggered(
+    shot = Shot(
         frame_index=frame_index,
         attempt=attempt,
         trigger_id=100 + frame_index,
@@ -21,6 +21,7 @@ def fire(pairing: Pairing, frame_index: int, at_ms: int, attempt: int = 0) -> No
         deadline_ns=(at_ms + 100) * MS,
         fired_ns=at_ms * MS,
     )
+    pairing.triggered(shot)
 
 
 def armed() -> Pairing:

@@ -329,7 +329,7 @@ def test_a_controller_that_holds_by_itself_is_told_of_and_the_sweep_goes_on_with
 
 
 def test_a_frame_counts_only_when_the_controller_was_heard_after_its_exposure():
-    on = bench(4, needs_proof=True)
+    on = bench(4, needs_confirmation=True)
     on.start()
     assert [image.role for image in on.published] == ["ambient"], "an exposure takes 10 ms"
     on.feed(Tick(on.now_ns + 9 * MS))
@@ -342,7 +342,7 @@ def test_a_frame_counts_only_when_the_controller_was_heard_after_its_exposure():
 
 @pytest.mark.parametrize(("code", "outcome"), [("F23", Outcome.ABORTED), ("F13", Outcome.INTERRUPTED)])
 def test_a_frame_that_was_exposed_while_the_controller_stopped_by_itself_is_missing(code, outcome):
-    on = bench(20, slots=4, needs_proof=True)
+    on = bench(20, slots=4, needs_confirmation=True)
     on.start()
     on.feed(Tick(on.now_ns + 10 * MS))
     taken = len([image for image in on.published if image.role == "sweep"])
