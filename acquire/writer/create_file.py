@@ -1,4 +1,4 @@
-"""Makes new scan files: complete and on disk before the first frame, so that HDF5 never has to write again."""
+"""Creates scan files: all HDF5 metadata exists and is synced before the first frame, so HDF5 never writes again."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class ScanRecipe:
 
     @classmethod
     def from_start(cls, start: Start) -> ScanRecipe:
-        """The recipe of a sweep that is announced."""
+        """The recipe of an announced sweep."""
         return cls(
             scan_uid=start.scan_uid,
             format=start.format,
@@ -112,7 +112,7 @@ def creating_path(folder: Path, scan_uid: str) -> Path:
 
 
 def create_file(folder: Path, recipe: ScanRecipe) -> tuple[Path, bool]:
-    """Make the whole file under its temporary name in ``folder``, reserve its space, press it onto the disk.
+    """Create the whole file under its temporary name in ``folder``, reserve its space, and fsync it.
 
     Returns:
         its path, and whether the space is reserved (False: the file system cannot).
@@ -123,7 +123,7 @@ def create_file(folder: Path, recipe: ScanRecipe) -> tuple[Path, bool]:
     """
     path = creating_path(folder, recipe.scan_uid)
     with _nothing_left_behind(path, recipe.nbytes):
-        # a leftover of this scan from a process that died here; only the holder of the writer's lock comes here
+        # left by a process that died here; only the holder of the writer's lock gets this far
         path.unlink(missing_ok=True)
         _probe(path, recipe.nbytes)
         with h5py.File(
@@ -152,7 +152,7 @@ def _nothing_left_behind(path: Path, needed_bytes: int) -> Iterator[None]:
 
 
 def _probe(path: Path, size_bytes: int) -> None:
-    """Find a full disk before HDF5 does: it can crash the interpreter when it fails to write."""
+    """Detect a full disk before HDF5 does, which can crash the interpreter when a write fails."""
     fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     try:
         if not reserve(fd, size_bytes):
@@ -234,7 +234,7 @@ def _first_values(recipe: ScanRecipe) -> dict[str, NDArray[Any]]:
 
 
 def _pixels(group: h5py.Group, shape: tuple[int, ...], kind: str) -> h5py.Dataset:
-    """A dataset ``data`` that has its place in the file at once and is never filled: contiguous, early, no fill."""
+    """Create a dataset with contiguous layout, early allocation and no fill: its offset is fixed from the start."""
     creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     creation.set_layout(h5py.h5d.CONTIGUOUS)
     creation.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -248,7 +248,7 @@ def _fixed_bytes(group: h5py.Group, name: str, text: bytes) -> h5py.Dataset:
 
 
 def _set(owner: h5py.Group | h5py.Dataset, **texts: str) -> None:
-    """Attributes as fixed bytes: variable-length text would live in a heap that HDF5 may want to move."""
+    """Attributes as fixed-length bytes: variable-length text lives in a heap that HDF5 may move."""
     for name, text in texts.items():
         raw = text.encode()
         owner.attrs[name] = np.array(raw, dtype=f"S{max(1, len(raw))}")

@@ -1,4 +1,4 @@
-"""The system calls that decide whether bytes are safe, and their failures as errors that people understand."""
+"""System calls that make bytes durable (fallocate, fsync, rename), with errors that name path, action and cure."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def disk_error(error: OSError, path: Path, doing: str, needed_bytes: int = 0) ->
 
 
 def free_bytes(path: Path) -> int | None:
-    """Bytes that a user may still write where ``path`` is or would be; None where nobody can tell."""
+    """Bytes that an ordinary user may still write at ``path`` (which need not exist yet); None if unknown."""
     for place in (path, *path.parents):
         try:
             return shutil.disk_usage(place).free
@@ -79,7 +79,7 @@ def reserve(fd: int, size_bytes: int) -> bool:
 
 
 def punch(fd: int, offset: int, size_bytes: int) -> bool:
-    """Give the whole blocks within a range of a file back to the file system; the range then reads as zeros.
+    """Punch a hole: return the whole blocks within a range to the file system; the range then reads as zeros.
 
     Returns:
         False where the file system cannot.
@@ -104,7 +104,7 @@ def _fallocate(fd: int, mode: int, offset: int, size_bytes: int) -> bool:
 
 
 def rename_new(source: Path, target: Path) -> None:
-    """Rename within a file system in one step; a target that exists is refused, never replaced.
+    """Atomic rename that never replaces an existing target (renameat2 with RENAME_NOREPLACE).
 
     Raises:
         FileExistsError: there is a target already.
@@ -117,7 +117,7 @@ def rename_new(source: Path, target: Path) -> None:
         number = ctypes.get_errno()
         if number not in _NO_RESERVATION:
             raise OSError(number, os.strerror(number), str(target))
-    # only where kernel or file system lack the call; the writer's lock keeps other writers out meanwhile
+    # kernel or file system lack the call; the writer's lock excludes other writers meanwhile
     if target.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(target))
     source.rename(target)
@@ -136,7 +136,7 @@ def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
 
 @dataclass(frozen=True)
 class FileSystem:
-    """What a file system is called and what a reservation is worth on it."""
+    """Kind of a file system, and whether a space reservation holds on it."""
 
     kind: str
     promise: str
@@ -159,7 +159,7 @@ def file_system_of(path: Path) -> FileSystem:
     for line in Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines():
         mount, _, rest = line.partition(" - ")
         point = Path(mount.split()[4].replace("\\040", " "))
-        # the last of several mounts on one point is the one that is seen
+        # of several mounts on one point the last is visible
         if place.is_relative_to(point) and len(point.parts) >= longest:
             kind, longest = rest.split()[0], len(point.parts)
     return FileSystem(kind, _PROMISES.get(kind, "no promise is known for it"))

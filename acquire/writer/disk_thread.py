@@ -1,4 +1,4 @@
-"""One thread for the disk calls that may take long (sync, seal); it wakes the loop that asked when one is done."""
+"""One thread for slow disk calls (sync, seal); a file descriptor tells the event loop when a job is done."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class DiskThread:
         return True
 
     def close(self) -> None:
-        """End the thread; a job that runs is waited for, as the kernel lets nobody interrupt it."""
+        """End the thread; waits for a running job, because a system call on the disk cannot be interrupted."""
         self._pool.shutdown(wait=True)
         os.close(self._wake_fd)
 
@@ -59,7 +59,7 @@ class DiskThread:
         future, then = self._future, self._then
         assert future is not None and then is not None
         self._future = self._then = None
-        # the callback that writes runs a moment after the result is there; a spurious wake does no harm
+        # the done callback runs just after the result is set; a spurious wake-up does no harm
         with suppress(BlockingIOError):
             os.eventfd_read(self._wake_fd)
         then(future)

@@ -1,4 +1,4 @@
-"""The bytes of an open scan file: regions at their offsets, commit records, checksums; no HDF5 after opening."""
+"""Byte access to an open scan file: regions at their offsets, commit records, checksums. No HDF5 after opening."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _UNWRITTEN: Final = {"trigger_id": -1, "camera_frame_id": -1, "exposure_start_ns
 
 
 class FrameRefusedError(ScanFileError):
-    """A frame that cannot be written, by reason; the file is as it was."""
+    """A frame was refused; the file is unchanged."""
 
     def __init__(self, reason: Refusal, text: str) -> None:
         super().__init__(text)
@@ -61,7 +61,7 @@ class FrameRefusedError(ScanFileError):
 
 
 class ScanStore:
-    """An open scan file with its commit records in memory. Readers and a syncing thread may look on."""
+    """An open scan file with its commit records in memory. Readers and one syncing thread may run in parallel."""
 
     def __init__(self, path: Path, *, writable: bool) -> None:
         """Open the scan file at ``path``.
@@ -94,7 +94,7 @@ class ScanStore:
             os.close(self._fd)
             self._fd = -1
 
-    # ---- what is in it ----
+    # ---- contents ----
 
     @property
     def count(self) -> int:
@@ -128,7 +128,7 @@ class ScanStore:
         usable: NDArray[np.bool_] = (self._status == FrameStatus.GOOD) | (self._status == FrameStatus.RETAKEN)
         return usable
 
-    # ---- bytes at their places ----
+    # ---- reading and writing at offsets ----
 
     @contextmanager
     def _disk(self, doing: str) -> Iterator[None]:
@@ -160,7 +160,7 @@ class ScanStore:
         self.outcome = outcome.value
 
     def _put_measured(self, measured: Mapping[str, float]) -> None:
-        """Whole or not at all: JSON that is cut says nothing."""
+        """Written whole or not at all: truncated JSON cannot be read."""
         raw = json.dumps({name: value for name, value in measured.items() if math.isfinite(value)})
         if MEASURED in self.layout.regions and len(raw) <= MEASURED_BYTES:
             with self._disk("write what was measured in"):
@@ -179,14 +179,14 @@ class ScanStore:
 
     def _put_again(self, frame_index: int) -> None:
         self._put_pixels("data", frame_index, memoryview(self._get_pixels(frame_index)))
-        # what is known here is not asked of a disk that has just failed: the status was acked
+        # take the status from memory: it was acknowledged, and the disk has just failed
         self._put("status", frame_index, int(self._status[frame_index]))
         for name in (field for field in FRAME_FIELDS if field != "status"):
             place = self.layout.regions[name]
             offset = place.offset + frame_index * place.dtype.itemsize
             write_at(self._fd, os.pread(self._fd, place.dtype.itemsize, offset), offset)
 
-    # ---- are they still what they were ----
+    # ---- verifying ----
 
     def check_frames(self, first: int = 0) -> list[int]:
         """Compare the committed frames from ``first`` on with their checksums; mark those that differ as damaged.
@@ -208,7 +208,7 @@ class ScanStore:
     def check_records(self, first: int = 0) -> list[int]:
         """Mark frames from ``first`` on whose record a power cut took: pixels have a checksum, records have none.
 
-        A field that still has the value it was made with, where other frames of the scan have another, was lost.
+        A field that still has its initial value, where other frames of the scan have another, was lost.
         """
         usable = np.flatnonzero(self._usable())
         lost = np.zeros(self.count, np.bool_)
@@ -229,7 +229,7 @@ class ScanStore:
         return np.frombuffer(raw, place.dtype).astype(np.int64)
 
     def mark_damaged(self, frame_index: int) -> None:
-        """Take a frame's commit back because its pixels are not what they were; it can be taken again."""
+        """Mark a frame as damaged because its pixels do not match its checksum; it can be taken again."""
         with self._disk("mark a damaged frame in"):
             self._put("status", frame_index, FrameStatus.DAMAGED)
             if self.durable_count > frame_index:

@@ -1,6 +1,6 @@
-"""Owns what becomes of the writer's freed memory: a bounded part of it is kept for the next frames.
+"""Tunes malloc: a bounded part of freed memory is kept for the next frames.
 
-By default the C library gives it back to the kernel, which clears the pages again for each frame that comes.
+By default glibc returns it to the kernel, which then has to clear fresh pages for each frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ LARGEST_BYTES: Final = 32 * 2**20
 
 
 def keep_freed_memory() -> bool:
-    """Ask the C library of this process for it; False where it is none that can (only glibc can)."""
+    """Set M_TRIM_THRESHOLD and M_TOP_PAD of this process; False if its C library is not glibc."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return mallopt is not None and bool(
         mallopt(_MMAP_THRESHOLD, LARGEST_BYTES) and mallopt(_TRIM_THRESHOLD, KEPT_BYTES)

@@ -1,7 +1,7 @@
-"""Brings scans that nobody owns into an honest state: verified, marked as interrupted, resumable; or closed for good.
+"""Recovers scans whose owner died: verifies them and marks them as interrupted, or seals them.
 
-It promises that a scan somebody owns is never touched, that running it twice is running it once, and that it may be
-killed anywhere: each step leaves a valid file, and the next run does the rest.
+A scan whose `owner.lock` is held is never touched. Running it twice equals running it once. It may be killed at any
+step: each step leaves a valid file, and the next run does the rest.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ NOTHING_IN_IT = "no frame is in it: there is nothing to resume"
 
 @dataclass(frozen=True)
 class RecoverOptions:
-    """What is to be done beside verifying."""
+    """What to do besides verifying."""
 
     seal: bool = False
     """Close interrupted scans for good."""
@@ -80,11 +80,11 @@ class Recovered:
 def recover(
     where: Path, options: RecoverOptions = RecoverOptions(), *, stop: Callable[[], bool] = lambda: False
 ) -> Iterator[Recovered]:
-    """Look after every scan in ``where`` (a data_dir, a scan's folder or its .h5), one after another.
+    """Recover every scan in ``where`` (a data_dir, a scan's folder or its .h5), one after another.
 
     Args:
         where: a folder that does not exist holds no scans.
-        options: what is to be done beside verifying.
+        options: what to do besides verifying.
         stop: asked between scans; True ends the look early.
     """
     for folder in scan_folders(where):
@@ -112,7 +112,7 @@ def _looks_like_scan(folder: Path) -> bool:
 
 
 def _recover_folder(folder: Path, options: RecoverOptions) -> Recovered | None:
-    """What became of one folder; None where there was nothing to do."""
+    """The result for one folder; None if there was nothing to do."""
     if options.begun_only and not _was_begun(folder):
         return None
     owner = _pid_in(folder / OWNER_LOCK_NAME)
@@ -131,7 +131,7 @@ def _recover_folder(folder: Path, options: RecoverOptions) -> Recovered | None:
 
 
 def _was_begun(folder: Path) -> bool:
-    """True where an owner may have died: there is its lock, and no scan that was closed or marked before."""
+    """True if an owner may have died: its lock exists, and the scan is neither sealed nor marked."""
     if not (folder / OWNER_LOCK_NAME).exists() or (folder / SEALED_NAME).exists():
         return False
     if not (folder / PARTIAL_NAME).exists():
@@ -162,7 +162,7 @@ def _look_after(folder: Path, owner: str, options: RecoverOptions) -> Recovered:
 
 
 def _without_scan(folder: Path) -> Recovered:
-    """The owner died before the scan's file was made: nothing of worth can be here."""
+    """The owner died before the scan file was created: the folder holds no data."""
     strangers = {path.name for path in folder.iterdir()} - NO_SCAN_NAMES
     if strangers:
         return Recovered(folder, "no scan", detail="holds no scan file; what else is in it was left alone")
@@ -176,7 +176,7 @@ def _sealed_scan(scan: ScanFile, folder: Path, options: RecoverOptions) -> Recov
 
 
 def _partial_scan(scan: ScanFile, folder: Path, owner: str, options: RecoverOptions) -> Recovered:
-    # a power cut can only have taken what was not durable; anything can happen to pixels
+    # records: a power cut affects only frames that were not durable; pixels: check all of them
     damaged = tuple(sorted([*scan.check_records(scan.durable_count), *scan.check_frames()]))
     ended_as = scan.outcome
     reason = ""
@@ -199,7 +199,7 @@ def _partial_scan(scan: ScanFile, folder: Path, owner: str, options: RecoverOpti
 
 
 def _seal_again(scan: ScanFile, outcome: Outcome) -> str:
-    """The writer died between the scan's outcome and its last name; what it began is brought to its end."""
+    """The writer died between writing the outcome and renaming the file: finish the sealing."""
     with ScanReader(scan.path) as reader:
         why = str(reader.scalar("reason"))
     try:
@@ -215,7 +215,7 @@ def _compact(path: Path) -> int:
     """Punch out the pixels of frames that were never taken; a hole reads as zeros, the layout stays as it is.
 
     Returns:
-        bytes that were given back; 0 also where the file system cannot.
+        bytes that were freed; 0 if the file system cannot punch holes.
     """
     with ScanReader(path) as reader:
         missing = ranges_of(np.flatnonzero(reader.status() == FrameStatus.MISSING).tolist())

@@ -1,4 +1,8 @@
-"""Writes scan files, alone of all modules: valid at any moment, and a committed frame never changes."""
+"""Writes scan files (the only module that does): the file is valid at any moment, a committed frame never changes.
+
+Order of writes per frame: pixels, record, status (the commit record). Order of a sync: fdatasync, ``durable_count``,
+fdatasync. See docs/design.md, section 6.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +33,11 @@ Pixels = bytes | memoryview | NDArray[Any]
 
 
 class ScanExistsError(ScanFileError):
-    """Another scan is where this one should be."""
+    """The folder holds another scan."""
 
 
 class ScanIncompleteError(ScanFileError):
-    """A scan that was to be sealed as complete lacks frames; it stays partial."""
+    """A scan cannot be sealed as complete because frames are missing or damaged; it stays partial."""
 
     def __init__(self, path: Path, missing: list[tuple[int, int]]) -> None:
         super().__init__(f"{path} is not complete: frames {missing[:8]} are missing or damaged; take them again")
@@ -42,7 +46,7 @@ class ScanIncompleteError(ScanFileError):
 
 @dataclass(frozen=True)
 class Seal:
-    """What a sealed scan promises."""
+    """What was sealed, as it can be read back from the file."""
 
     path: Path
     outcome: Outcome
@@ -52,7 +56,7 @@ class Seal:
 
 
 def create_scan(folder: Path, start: Start) -> ScanFile:
-    """Make ``folder`` and the scan in it, whole and on disk, under the name ``scan.partial.h5``.
+    """Create ``folder`` and the whole scan file in it as ``scan.partial.h5``, synced to disk.
 
     Raises:
         ScanExistsError: the folder holds a scan.
@@ -97,7 +101,7 @@ def _create_in(folder: Path, recipe: ScanRecipe) -> ScanFile:
 class ScanFile(ScanStore):
     """A scan that is being written. One thread writes frames; :meth:`sync` may run beside it in another.
 
-    Each frame is written as pixels, record, status: whoever reads a status finds what it promises.
+    Each frame is written as pixels, record, status: a reader that sees the status finds the frame.
     """
 
     def __init__(self, path: Path, *, sealed_path: Path, reserved: bool = True, replace: bool = False) -> None:
@@ -111,7 +115,7 @@ class ScanFile(ScanStore):
 
     @classmethod
     def open_existing(cls, scan: Path) -> ScanFile:
-        """Open a scan that was begun before. Frames that may have been torn by a power cut are checked first.
+        """Open a scan that was begun before. Frames that a power cut may have torn are checked first.
 
         Raises:
             ScanFileError: no scan, damaged, or truncated.
@@ -147,16 +151,16 @@ class ScanFile(ScanStore):
         with self._disk("write"):
             if os.fstat(self._fd).st_nlink == 0:
                 raise OSError(errno.ENOENT, "the scan file was deleted")
-            # the file is asked, not the memory: another writer may have been here while this one was frozen
+            # ask the file, not memory: another writer may have written while this process was frozen
             again = image.role == "overlap" and not self.sealed
             if self._get(f"{prefix}status", index) in USABLE and not again:
                 return self._compare(image, prefix, index)
             if self.sealed:
                 raise FrameRefusedError("immutable", f"{_name(image)}: the scan is sealed as {self.outcome}")
             if self._get_text("outcome") in SEALED_OUTCOMES:
-                raise FrameRefusedError("immutable", f"{_name(image)}: somebody else has closed the scan meanwhile")
+                raise FrameRefusedError("immutable", f"{_name(image)}: another process has sealed the scan meanwhile")
             if again:
-                # each resume takes it anew: torn by a crash it must not look whole
+                # each resume takes the overlap frame anew: if a crash tears it, it must not count as valid
                 self._put(f"{prefix}status", index, FrameStatus.MISSING)
             self._put_pixels(f"{prefix}data", index, raw)
             if sweep:
@@ -195,18 +199,18 @@ class ScanFile(ScanStore):
         self._status[image.frame_index] = self._get("status", image.frame_index)
 
     def sync(self) -> int:
-        """Press what is committed onto the disk, then the count of the frames that are safe there, then that.
+        """fdatasync the committed frames, write their number as ``durable_count``, and fdatasync that.
 
         Returns:
             durable_count: frames 0..durable_count-1 survive a power cut.
 
         Raises:
-            DiskError: the disk refused; durable_count is as it was.
+            DiskError: the disk refused; durable_count is unchanged.
         """
         durable = self.prefix
         with self._disk("sync"):
             if self._rewrite_from is not None:
-                self._dirty_again(self._rewrite_from)
+                self._write_again(self._rewrite_from)
             try:
                 os.fdatasync(self._fd)
             except OSError:
@@ -220,27 +224,27 @@ class ScanFile(ScanStore):
                 self.durable_count = durable
         return self.durable_count
 
-    def _dirty_again(self, first: int) -> None:
-        """Write again what a failed sync may have lost; committed frames never change, so nothing can be undone."""
+    def _write_again(self, first: int) -> None:
+        """Write again what a failed sync may have lost. Committed frames never change, so this undoes nothing."""
         self.check_frames(first)
         self.check_records(first)
         for frame_index in np.flatnonzero(self._usable()[first:]) + first:
             self._put_again(int(frame_index))
 
     def mark_outcome(self, outcome: Outcome, reason: str) -> None:
-        """Say in a partial scan why it is partial (or that it runs again).
+        """Record in a partial scan why it is partial (or that it is running again).
 
         Raises:
-            ScanFileError: the scan is sealed, or the outcome is one that only sealing gives.
+            ScanFileError: the scan is sealed, or only sealing can give this outcome.
         """
         if self.sealed or outcome in SEALED_OUTCOMES:
             raise ScanFileError(f"{self.path} cannot be marked as {outcome}: that is what sealing is for")
         self._put_outcome(outcome, reason)
 
     def seal(self, outcome: Outcome, reason: str = "", measured: Mapping[str, float] | None = None) -> Seal:
-        """Verify every frame, write how the scan ended, press all onto the disk, give the file its last name.
+        """Verify every frame, write outcome and digest, sync, and rename the file to ``scan.h5``.
 
-        ``measured`` is what was found around the sweep, by its name in the ``end`` message.
+        ``measured``: results of the checks around the sweep, by their names in the ``end`` message.
 
         Sealing again with the same outcome does nothing.
 
@@ -267,10 +271,10 @@ class ScanFile(ScanStore):
         return seal
 
     def _refuse_if_replaced(self) -> None:
-        """What is not at its place any more belongs to whoever has moved it: its end is not ours to write."""
+        """A file that was moved or replaced belongs to another process now: do not seal it."""
         with self._disk("seal"):
             if not self.path.exists() or not os.path.samestat(self.path.stat(), os.fstat(self._fd)):
-                raise OSError(errno.ENOENT, "it was moved, deleted, or closed by somebody else meanwhile")
+                raise OSError(errno.ENOENT, "it was moved, deleted, or sealed by another process meanwhile")
 
     def _sealed_before(self, outcome: Outcome) -> Seal:
         if self.outcome != outcome:
@@ -279,7 +283,7 @@ class ScanFile(ScanStore):
         return Seal(self.path, outcome, self.committed_count, self.missing_ranges(), digest)
 
     def _put_digest(self) -> str:
-        # a record that was begun and never committed must not count
+        # a record that was written without its commit must not count
         self._crc32[~self._usable()] = 0
         digest = scan_digest(self._crc32)
         with self._disk("seal"):

@@ -1,4 +1,4 @@
-"""The writer service: owns the scan file; acks a frame only when it is in the file, and says how many are on disk."""
+"""The writer service: stores frames in the scan file and acknowledges each as committed, later as durable."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from acquire.contract.units import NS_PER_MS, NS_PER_S
 from .disk_thread import DiskThread
 from .malloc_tuning import keep_freed_memory
 from .recover import RecoverOptions, recover
-from .session import ScanSession
+from .session import WriterSession
 
 logger = logging.getLogger(__name__)
 BEAT_NS: Final = NS_PER_S // 2
@@ -37,7 +37,7 @@ MAX_BATCH: Final = 32
 
 
 def run_writer(config: LoadedConfig, run_dir: Path) -> None:
-    """Serve until SIGTERM or SIGINT: what is committed is pressed onto the disk, a running scan stays partial.
+    """Serve until SIGTERM or SIGINT; committed frames are synced then, and a running scan stays partial.
 
     Raises:
         AlreadyRunningError: another writer runs here, or has taken over.
@@ -48,11 +48,11 @@ def run_writer(config: LoadedConfig, run_dir: Path) -> None:
     keep_freed_memory()
     context: zmq.Context[Any] = zmq.Context()
     try:
-        # nothing may pile up for a daemon that is away: what is said to it must be true when it hears it
+        # do not queue messages while the daemon is away: they would be out of date when it reads them
         socket = connect(context, zmq.DEALER, run_dir, "frames", immediate=True)
         service = WriterService(socket, config)
         try:
-            with _stopped_by_signals(service), _looking_after_the_interrupted(config.data_dir):
+            with _stopped_by_signals(service), _recovering_in_background(config.data_dir):
                 logger.info("ready (pid %d), looking for the daemon in %s", os.getpid(), run_dir)
                 service.run()
         finally:
@@ -76,25 +76,25 @@ def _stopped_by_signals(service: WriterService) -> Iterator[None]:
 
 
 @contextmanager
-def _looking_after_the_interrupted(data_dir: Path) -> Iterator[None]:
-    """Verify and mark, beside the service, the scans whose owners died since the last start."""
+def _recovering_in_background(data_dir: Path) -> Iterator[None]:
+    """In a thread: verify and mark the scans whose owners died since the last start."""
     leaving = threading.Event()
-    thread = threading.Thread(target=_look_after, args=(data_dir, leaving), name="recover", daemon=True)
+    thread = threading.Thread(target=_recover, args=(data_dir, leaving), name="recover", daemon=True)
     thread.start()
     try:
         yield
     finally:
         leaving.set()
-        # verifying one scan may take longer than a service has to leave; each of its steps may be the last
+        # verifying a scan may take longer than a service may take to stop; it can be cut off between any two steps
         thread.join(timeout=5)
 
 
-def _look_after(data_dir: Path, leaving: threading.Event) -> None:
+def _recover(data_dir: Path, leaving: threading.Event) -> None:
     try:
         for found in recover(data_dir, RecoverOptions(begun_only=True), stop=leaving.is_set):
-            logger.info("looked after %s", found.words())
+            logger.info("recovered %s", found.words())
     except OSError as error:
-        logger.warning("cannot look after the scans in %s: %s", data_dir, error)
+        logger.warning("cannot recover the scans in %s: %s", data_dir, error)
 
 
 class WriterService:
@@ -105,7 +105,7 @@ class WriterService:
         self._socket = socket
         self._sender = Sender(socket)
         self._disk = DiskThread()
-        self._session = ScanSession(config, self._disk, self._send)
+        self._session = WriterSession(config, self._disk, self._send)
         self._seal_s = config.rig.limits.seal_s
         self._next_beat_ns = self._next_watch_ns = 0
         self._stop_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -128,19 +128,19 @@ class WriterService:
         notifier = Notifier()
         notifier.ready("the writer waits for scans")
         while not self._stopping:
-            heard = self._beat()
-            # a beat that nobody could hear goes out as soon as somebody is there
-            poller.register(self._socket, zmq.POLLIN if heard else zmq.POLLIN | zmq.POLLOUT)
-            wait_ns = max(0, self._next_beat_ns - _now_ns()) if heard else BEAT_NS
+            sent = self._beat()
+            # a heartbeat that could not be sent goes out as soon as the daemon is connected
+            poller.register(self._socket, zmq.POLLIN if sent else zmq.POLLIN | zmq.POLLOUT)
+            wait_ns = max(0, self._next_beat_ns - _now_ns()) if sent else BEAT_NS
             poller.poll(wait_ns // NS_PER_MS + 1)
             self._drain()
             self._disk.collect()
-            self._session.press_on()
+            self._session.start_disk_work()
             self._watch_owner()
             notifier.alive()
 
     def close(self) -> None:
-        """Press what is committed onto the disk and leave."""
+        """Sync what is committed and close everything."""
         if not self._disk.wait(self._seal_s):
             logger.error("the disk has not answered within %g s", self._seal_s)
         self._session.leave()
@@ -149,7 +149,7 @@ class WriterService:
         self._socket.close(linger=0)
 
     def _beat(self) -> bool:
-        """Say hello and how far things are, every half second; False if it was due and nobody could hear it."""
+        """Send hello and the state of the scan every half second; False if it was due and could not be sent."""
         now_ns = _now_ns()
         if now_ns < self._next_beat_ns:
             return True
@@ -160,7 +160,7 @@ class WriterService:
         return True
 
     def _watch_owner(self) -> None:
-        """Let go of the scan of a daemon that died, also where nobody is there to hear a beat."""
+        """Release the scan of a daemon that died, even if no other daemon is connected."""
         now_ns = _now_ns()
         if now_ns >= self._next_watch_ns:
             self._next_watch_ns = now_ns + BEAT_NS
@@ -183,7 +183,7 @@ class WriterService:
         if isinstance(message, Image):
             self._session.image(message, None if received.payload is None else received.payload.buffer)
             return
-        # whatever else comes is answered after the frames before it
+        # acknowledge the frames that came before any other message
         self._session.flush()
         if isinstance(message, Start):
             follow_scan(message.scan_uid)
@@ -199,7 +199,7 @@ class WriterService:
         self.counters["malformed"] += 1
         count = self.counters["malformed"]
         if count <= 10 or count % 1000 == 0:
-            logger.warning("message %d that cannot be used: %s", count, error)
+            logger.warning("invalid message %d: %s", count, error)
         if isinstance(error, ProtocolMismatchError):
             self._send(Nack(reason="protocol", detail=str(error)))
 

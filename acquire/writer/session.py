@@ -1,4 +1,7 @@
-"""The writer's side of one scan after another: messages in, file written, messages out; an ack is never early."""
+"""One scan after another in the writer: messages in, file written, messages out.
+
+A frame is acknowledged as committed only after it was written, and counted as durable only after fdatasync.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +30,11 @@ Refusal = Literal["no such scan", "busy", "shape", "crc", "immutable", "protocol
 Send = Callable[[Message], bool]
 
 
-class ScanSession:
-    """Opens, fills and seals the scan that the source announces. One thread calls everything."""
+class WriterSession:
+    """Opens, fills and seals the scan that the daemon announces. Not thread-safe."""
 
     def __init__(self, config: LoadedConfig, disk: DiskThread, send: Send) -> None:
-        """Answers leave through ``send``, which says False where nobody can hear them."""
+        """``send`` sends an answer; it returns False if the daemon is not connected."""
         self.counters = {"frames": 0, "same": 0, "refused": 0, "disk_errors": 0}
         self._disk = disk
         self._send = send
@@ -45,13 +48,13 @@ class ScanSession:
 
     @property
     def scan_uid(self) -> str:
-        """The scan that is open; empty for none."""
+        """Uid of the open scan; empty if there is none."""
         return "" if self._scan is None else self._scan.layout.scan_uid
 
     # ---- start ----
 
     def start(self, start: Start) -> None:
-        """Open the announced scan, new or begun before, and answer with what is in it, or with why not."""
+        """Open the announced scan, new or begun before; answer with its committed frames or the reason of a refusal."""
         try:
             scan = self._scan_for(start)
         except ScanFileError as error:
@@ -70,7 +73,7 @@ class ScanSession:
         )
 
     def _scan_for(self, start: Start) -> ScanFile:
-        # another source may come after the file was looked after by others: it is read anew
+        # another daemon may announce it after another process has recovered it: read it anew
         if self._scan is not None and (self.scan_uid, self._source) == (start.scan_uid, start.epoch):
             _runs_again(self._scan)
             return self._scan
@@ -86,7 +89,7 @@ class ScanSession:
         return scan
 
     def leave(self) -> None:
-        """Press what is committed onto the disk and close the scan; it stays as it is."""
+        """Sync what is committed and close the scan; its outcome stays as it is."""
         if self._scan is None:
             return
         try:
@@ -98,15 +101,15 @@ class ScanSession:
         self._scan, self._unsynced, self._ending = None, 0, None
 
     def leave_orphan(self) -> None:
-        """Let go of a scan whose owner has died: mark it as interrupted, so that it can be resumed or recovered."""
+        """Mark the scan of a daemon that has died as interrupted (it can then be resumed) and close it."""
         scan = self._scan
         if scan is None or scan.sealed or self._ending is not None or self._disk.busy:
             return
-        lock = _lock_of_the_dead(scan.path.parent)
+        lock = _take_dead_owners_lock(scan.path.parent)
         if lock is None:
             return
         try:
-            # somebody else may have closed it for good meanwhile
+            # another process may have sealed it meanwhile
             if scan.path.exists() and not scan.committed_count:
                 scan.seal(Outcome.ABORTED, NOTHING_IN_IT)
             elif scan.path.exists() and scan.outcome != Outcome.INTERRUPTED:
@@ -125,7 +128,7 @@ class ScanSession:
     # ---- frames ----
 
     def image(self, image: Image, pixels: memoryview | None) -> None:
-        """Write a frame; its ack leaves with :meth:`flush`, a refusal at once."""
+        """Write a frame; its ack is sent by :meth:`flush`, a refusal at once."""
         if self._scan is None or self.scan_uid != image.scan_uid:
             self._refuse(image, "no such scan", f"scan {image.scan_uid[:40]!r} is not open here")
         elif self._ending is not None:
@@ -165,13 +168,13 @@ class ScanSession:
         )
 
     def flush(self) -> None:
-        """Ack what was committed since the last ack."""
+        """Acknowledge what was committed since the last ack."""
         if self._acks:
             acks, self._acks = self._acks, []
             self._ack(acks)
 
     def beat(self) -> None:
-        """Say how far an open scan is, and press onto the disk what waits for it."""
+        """Report the state of an open scan, and start a sync of what is not durable yet."""
         if self._scan is not None and not self._scan.sealed:
             self._ack([])
             self._sync(at_least=1)
@@ -189,8 +192,8 @@ class ScanSession:
 
     # ---- the disk ----
 
-    def press_on(self) -> None:
-        """Begin the slow work that is due: seal, or sync once enough frames wait. Acks never wait for it."""
+    def start_disk_work(self) -> None:
+        """Start the disk work that is due: seal, or sync once enough frames are not durable. Acks never wait for it."""
         if self._ending is not None:
             self._begin_seal(self._ending)
         else:
@@ -208,7 +211,7 @@ class ScanSession:
             self._ack([])
         elif isinstance(error, DiskError):
             self.counters["disk_errors"] += 1
-            # tried again with the next beat
+            # tried again with the next heartbeat
             self._unsynced += 1
             logger.error("%s", error)
             self._send(Nack(scan_uid=self.scan_uid, reason=error.nack_reason, detail=str(error)))
@@ -291,7 +294,7 @@ def _interrupt(scan: ScanFile, reason: str) -> None:
 
 
 def _open(start: Start) -> ScanFile:
-    """The scan that is announced: the one in its folder, if it is that one, or a new one."""
+    """The announced scan: the one in its folder if it has the same uid and plan, else a new one."""
     folder = Path(start.path)
     try:
         there = any((folder / name).is_file() for name in (PARTIAL_NAME, SEALED_NAME))
@@ -313,8 +316,8 @@ def _runs_again(scan: ScanFile) -> None:
         scan.mark_outcome(Outcome.RUNNING, "")
 
 
-def _lock_of_the_dead(folder: Path) -> FileLock | None:
-    """The owner's lock of a scan, taken; None while its owner lives, or where nobody ever owned it."""
+def _take_dead_owners_lock(folder: Path) -> FileLock | None:
+    """Take the owner's lock of a scan; None while its owner lives, or if the scan never had one."""
     path = folder / OWNER_LOCK_NAME
     if not path.exists():
         return None

@@ -1,4 +1,4 @@
-"""Says whether a scan file holds what it promises, in words and as a struct; reads only, at any moment of its life."""
+"""Verifies a scan file: frames against checksums, counts, digest. Read-only; works during a scan as well."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """The file holds what it promises."""
+        """Every frame, count and digest is consistent."""
         return not self.problems
 
     @property
     def complete(self) -> bool:
-        """Sound, sealed as complete, nothing missing."""
+        """Valid, sealed as complete, nothing missing."""
         return self.ok and self.sealed and self.outcome == Outcome.COMPLETE and self.committed == self.expected
 
     def words(self) -> list[str]:
@@ -78,7 +78,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
             outcome_words(self.outcome if self.sealed else "not sealed", self.committed, self.expected),
         ]
         lines.append(f"outcome {self.outcome} ({state})" + (f": {self.reason}" if self.reason else ""))
-        lines.append(f"{self.durable} frames were pressed onto the disk")
+        lines.append(f"{self.durable} frames are durable (synced to disk)")
         for what, ranges in (("missing", self.missing), ("re-taken", self.retaken), ("damaged", self.damaged)):
             if ranges:
                 lines.append(f"{what}: {in_words(ranges)}")
@@ -94,7 +94,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
 
 class ScanInfo(msgspec.Struct, frozen=True):
-    """What a scan says about itself."""
+    """Metadata of a scan."""
 
     path: str
     scan_uid: str
@@ -202,7 +202,7 @@ def _problems(report: VerifyReport) -> list[str]:
 
 
 def info(scan: Path) -> ScanInfo:
-    """What SCAN says about itself, without reading its pixels.
+    """Metadata of SCAN, without reading its pixels.
 
     Raises:
         ScanFileError: no scan, damaged or truncated.
@@ -259,7 +259,7 @@ def _ranges(mask: NDArray[np.bool_]) -> Ranges:
 
 
 def _is_sealed(reader: ScanReader) -> bool:
-    # a writer that died between the last two steps of sealing leaves the outcome in a file that is still partial
+    # a writer that died before the last rename leaves a final outcome in a partial file
     return reader.layout.path.name != PARTIAL_NAME and reader.outcome in SEALED_OUTCOMES
 
 

@@ -48,9 +48,9 @@ def _other_firmware(_flag: Path) -> None:
 
 def _bits_flip(_flag: Path) -> None:
     """Every twentieth frame reaches the writer with a bit flipped, the first time that it comes."""
-    from acquire.writer.session import ScanSession
+    from acquire.writer.session import WriterSession
 
-    real, seen = ScanSession.image, set()
+    real, seen = WriterSession.image, set()
 
     def image(self: Any, message: Any, pixels: Any) -> None:
         if message.frame_index % 20 == 7 and message.frame_index not in seen:
@@ -59,7 +59,7 @@ def _bits_flip(_flag: Path) -> None:
             pixels[len(pixels) // 2] ^= 4
         real(self, message, memoryview(pixels))
 
-    ScanSession.image = image
+    WriterSession.image = image
 
 
 def _live_lane_lies(flag: Path) -> None:

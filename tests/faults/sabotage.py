@@ -184,9 +184,9 @@ def _no_writer_time_out() -> None:
 
 
 def _no_mark() -> None:
-    from acquire.writer.session import ScanSession
+    from acquire.writer.session import WriterSession
 
-    _replace(ScanSession, "leave_orphan", lambda _self: None)
+    _replace(WriterSession, "leave_orphan", lambda _self: None)
 
 
 def _no_file_lane() -> None:

@@ -18,7 +18,7 @@ Bytes = Annotated[int, Meta(ge=1_000_000, le=2**40)]
 
 
 class StorageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where scans go and how hard they are pressed onto the disk."""
+    """Where scans are stored, and how often they are synced."""
 
     data_dir: Annotated[str, Meta(max_length=1024, pattern=r"^[^\x00-\x1f]*$")] = "~/sweepscope-scans"
     """Folder of all scans; it needs room for whole sweeps."""

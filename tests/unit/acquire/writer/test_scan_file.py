@@ -226,9 +226,9 @@ def test_a_scan_that_somebody_else_closed_meanwhile_takes_no_frame_and_no_other_
     successor = ScanFile.open_existing(scan.path)
     successor.seal(Outcome.ABORTED, "closed by hand")
     successor.close()
-    with pytest.raises(FrameRefusedError, match="closed the scan meanwhile"):
+    with pytest.raises(FrameRefusedError, match="sealed the scan meanwhile"):
         write(scan, start, 1)
-    with pytest.raises(DiskError, match="somebody else"):
+    with pytest.raises(DiskError, match="another process"):
         scan.seal(Outcome.STOPPED)
     report = verify(Path(start.path))
     assert report.ok and (report.outcome, report.committed) == ("aborted", 1)
