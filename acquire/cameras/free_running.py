@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_MS
 
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
@@ -109,7 +109,7 @@ class FreeRunningCamera:
 
     def snap(self) -> None:
         """One frame that begins from now on."""
-        self._want(time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        self._want(mono_ns())
 
     def fire(self, at_ns: int, position_steps: int) -> None:
         """The stage stands still since ``at_ns`` (CLOCK_MONOTONIC): deliver a frame that began after it."""
@@ -121,7 +121,7 @@ class FreeRunningCamera:
             self._waiting.append(at_ns)
 
     def _serve(self) -> None:
-        began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        began_after_ns = mono_ns()
         while not self._reading.ending:
             try:
                 pixels = self._source.grab()
@@ -132,11 +132,11 @@ class FreeRunningCamera:
                     self._waiting.clear()
                 self._sink(CameraGone(str(error)))
                 if self._reading.until_back(self._open_again, (SweepscopeError,)):
-                    began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+                    began_after_ns = mono_ns()
                     self._sink(CameraGone("", back=True))
                 continue
             self._deliver(pixels, began_after_ns)
-            began_after_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+            began_after_ns = mono_ns()
 
     def _open_again(self) -> None:
         self._source.close()

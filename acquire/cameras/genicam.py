@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from acquire.contract.config.model import CameraConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
 from .clock_check import OwnClock
@@ -289,7 +290,7 @@ class GenicamDevice:
         try:
             pixels = self._pixels(buffer.payload.components[0])
             # when it was exposed is known by the camera's clock alone
-            camera_ns = self._clock.believed(_time_ns(buffer), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+            camera_ns = self._clock.believed(_time_ns(buffer), mono_ns())
             return CameraFrame(pixels, self._frame_id(buffer), exposure_start_ns=0, camera_ns=camera_ns)
         finally:
             buffer.queue()

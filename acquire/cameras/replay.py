@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from acquire.cameras.image_files import format_of, list_pictures, read_picture
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.scan_data.reader import ScanReader
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
@@ -84,7 +84,7 @@ class ReplayCamera:
 
     def snap(self) -> None:
         """The picture of the place of the last shot."""
-        self._shots.put((self._position_steps, time.clock_gettime_ns(time.CLOCK_MONOTONIC)))
+        self._shots.put((self._position_steps, mono_ns()))
 
     def fire(self, at_ns: int, position_steps: int) -> None:
         """A shot at ``position_steps``."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from acquire.contract.config.model import RigConfig
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.contract.process.clocks import mono_ns
 from acquire.simulation import Renderer, Scene, build_scene
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
@@ -55,7 +56,7 @@ class SimulatedCamera:
 
     @lamp_on.setter
     def lamp_on(self, on: bool) -> None:
-        self._lamp = (on, time.clock_gettime_ns(time.CLOCK_MONOTONIC), self._lamp[0])
+        self._lamp = (on, mono_ns(), self._lamp[0])
 
     def _lit_at(self, at_ns: int) -> bool:
         """What it was at a moment that is not long ago: a picture is made a little after its exposure."""
@@ -116,7 +117,7 @@ class SimulatedCamera:
 
     def snap(self) -> None:
         """One exposure now."""
-        self._expose(self._position_steps(), time.clock_gettime_ns(time.CLOCK_MONOTONIC))
+        self._expose(self._position_steps(), mono_ns())
 
     def on_trigger(self, position_steps: float, at_ns: int, travel_steps: float = 0.0, camera_ns: int = 0) -> None:
         """The trigger line: the stage is at ``position_steps`` at mid-exposure, and travels on during the exposure."""

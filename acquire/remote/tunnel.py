@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 import tempfile
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +23,7 @@ from acquire.contract.messaging.codec import decode_as, encode
 from acquire.contract.messaging.lanes import bind, open_socket
 from acquire.contract.messaging.messages import Command, Status
 from acquire.contract.permissions import never_late
+from acquire.contract.process.clocks import mono_ns
 
 from .addresses import ASKED, SPOKEN, Address
 from .gateway import keep_alive
@@ -46,7 +46,7 @@ class Tunnel:
         address: Address,
         server_key: str,
         pair: KeyPair,
-        now_ns: Callable[[], int] = lambda: time.clock_gettime_ns(time.CLOCK_MONOTONIC),
+        now_ns: Callable[[], int] = mono_ns,
     ) -> None:
         """Nothing is connected before the ``with``."""
         self.address = address

@@ -13,6 +13,7 @@ import serial
 
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
+from acquire.contract.process.clocks import mono_ns
 from acquire.stages.uno.ports import choose_port, open_port
 
 from .host_driven import HostRunStage
@@ -157,6 +158,6 @@ class LegacyStage(HostRunStage):
         self._end_with(SegmentDone(self._position))
 
     def _shot(self, shot_index: int) -> None:
-        at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        at_ns = mono_ns()
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         self._sink(Triggered(trigger_id, shot_index, self._position, at_mono_ns=at_ns))

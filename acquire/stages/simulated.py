@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
+from acquire.contract.process.clocks import mono_ns
 
 from .host_driven import HostRunStage
 from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
@@ -160,7 +161,7 @@ class SimulatedStage(HostRunStage):
 
     def _fire(self, shot_index: int, travel_steps: float = 0.0) -> None:
         """Report the trigger, then expose; on the fly the picture belongs to the place at mid-exposure."""
-        at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        at_ns = mono_ns()
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         middle_steps = self._position + travel_steps / 2
         middle_um = middle_steps * self._config.um_per_microstep if travel_steps else None

@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +19,7 @@ from acquire.contract.errors import AlreadyRunningError, ProtocolError
 from acquire.contract.messaging.codec import ProtocolMismatchError
 from acquire.contract.messaging.lanes import Received, Sender, connect, receive
 from acquire.contract.messaging.messages import End, Hello, Image, Message, Nack, Start
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.process.logs import follow_scan
 from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
@@ -131,7 +131,7 @@ class WriterService:
             sent = self._beat()
             # a heartbeat that could not be sent goes out as soon as the daemon is connected
             poller.register(self._socket, zmq.POLLIN if sent else zmq.POLLIN | zmq.POLLOUT)
-            wait_ns = max(0, self._next_beat_ns - _now_ns()) if sent else BEAT_NS
+            wait_ns = max(0, self._next_beat_ns - mono_ns()) if sent else BEAT_NS
             poller.poll(wait_ns // NS_PER_MS + 1)
             self._drain()
             self._disk.collect()
@@ -150,7 +150,7 @@ class WriterService:
 
     def _beat(self) -> bool:
         """Send hello and the state of the scan every half second; False if it was due and could not be sent."""
-        now_ns = _now_ns()
+        now_ns = mono_ns()
         if now_ns < self._next_beat_ns:
             return True
         if not self._send(Hello(pid=os.getpid())):
@@ -161,7 +161,7 @@ class WriterService:
 
     def _watch_owner(self) -> None:
         """Release the scan of a daemon that died, even if no other daemon is connected."""
-        now_ns = _now_ns()
+        now_ns = mono_ns()
         if now_ns >= self._next_watch_ns:
             self._next_watch_ns = now_ns + BEAT_NS
             self._session.leave_orphan()
@@ -208,7 +208,3 @@ class WriterService:
         if not sent:
             self.counters["unsent"] += 1
         return sent
-
-
-def _now_ns() -> int:
-    return time.clock_gettime_ns(time.CLOCK_MONOTONIC)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ import msgspec
 import zmq
 
 from acquire.contract.errors import ProtocolError
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.process.run_dir import endpoint
 
 from .codec import decode, encode
@@ -92,7 +92,7 @@ class Sender:
     def stamp(self, message: Message, sent_mono_ns: int | None = None) -> Message:
         """The message with the next sequence number, this sender's boot id and the monotonic time (now, if None)."""
         self.seq += 1
-        when_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC) if sent_mono_ns is None else sent_mono_ns
+        when_ns = mono_ns() if sent_mono_ns is None else sent_mono_ns
         return msgspec.structs.replace(message, seq=self.seq, epoch=self.epoch, sent_mono_ns=when_ns)
 
     def send(

@@ -1,4 +1,4 @@
-"""Monotonic time for control, injected so that tests need no waiting; UTC only as metadata."""
+"""Monotonic time for control, injected so that tests need no waiting; UTC as metadata only."""
 
 from __future__ import annotations
 
@@ -7,8 +7,13 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 
+def mono_ns() -> int:
+    """CLOCK_MONOTONIC in ns: the clock of every time that is named ``..._mono_ns`` or ``at_ns``."""
+    return time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+
+
 class Clock(Protocol):
-    """What a component needs to know of time."""
+    """Source of the present time; tests replace it."""
 
     def now_ns(self) -> int:
         """CLOCK_MONOTONIC in ns."""
@@ -20,7 +25,7 @@ class MonotonicClock:
 
     def now_ns(self) -> int:
         """CLOCK_MONOTONIC in ns."""
-        return time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        return mono_ns()
 
 
 def utc_now_iso() -> str:
@@ -29,10 +34,10 @@ def utc_now_iso() -> str:
 
 
 def utc_stamp() -> str:
-    """UTC now as it stands in a scan folder's name."""
+    """UTC now as in the names of scan folders."""
     return datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
 
 
 def epoch_utc_ns() -> int:
     """UTC minus CLOCK_MONOTONIC in ns: what to add to a monotonic time to get UTC."""
-    return time.time_ns() - time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    return time.time_ns() - mono_ns()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
-import time
 from collections.abc import Mapping
 
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
 _BEATS_PER_LIMIT = 4
@@ -37,7 +37,7 @@ class Notifier:
         """One turn of the main loop is done; sent to the watchdog four times per limit, not oftener."""
         if not self._period_ns:
             return
-        now_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        now_ns = mono_ns()
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + self._period_ns
             self._send("WATCHDOG=1")

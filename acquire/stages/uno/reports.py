@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
+from acquire.contract.process.clocks import mono_ns
 from acquire.stages.protocol import Alarm, Held, Moved, Segment, SegmentDone, StageSink, StageStatus, Stopped, Triggered
 from acquire.stages.uno.framing import Block
 
@@ -199,7 +200,7 @@ class ReportFollower:
         if now_s - self._polled_s < every_s or (active and not self._host_lives(now_s)):
             return None
         self._polled_s = now_s
-        self._asked_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        self._asked_ns = mono_ns()
         return StatusBody(seen).pack()
 
     def _host_lives(self, now_s: float) -> bool:
@@ -226,7 +227,7 @@ class ReportFollower:
 
     def _take_events(self, events: tuple[EventBody, ...]) -> list[Triggered]:
         fired = []
-        at_ns = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+        at_ns = mono_ns()
         for event in events:
             if event.trigger_id == self._next_event:
                 self._next_event += 1

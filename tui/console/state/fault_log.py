@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from acquire.contract.messaging.messages import FaultReport
+from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
 MOST = 500
@@ -65,5 +66,5 @@ class FaultBook:
 
 
 def _wall_time(at_mono_ns: int) -> str:
-    ago_s = (time.clock_gettime_ns(time.CLOCK_MONOTONIC) - at_mono_ns) / NS_PER_S
+    ago_s = (mono_ns() - at_mono_ns) / NS_PER_S
     return datetime.fromtimestamp(time.time() - ago_s).astimezone().strftime("%Y-%m-%d %H:%M:%S")
