@@ -79,7 +79,8 @@ class Viewer:
         self._access = AccessControl(settings.host)
         listener = listen(settings.host, settings.port if port is None else port)
         self._server = start_server(self._access, listener, settings.max_bytes_per_s)
-        self.url = address(self._access, self._server.get_port())
+        self.url = f"http://{self._access.authority(self._server.get_port())}/?token={self._access.token}"
+        """The address with the token, as it is printed."""
         self._status = StatusPanel(self._server, view_only=self._access.view_only)
         self._view_settings = ViewSettings(max_points=settings.max_points)
         self._scene = ViewerScene(self._server, self._view_settings, self._clock, config.rig.reconstruct.calibration)
@@ -169,14 +170,6 @@ class _Controls:
             self.measure = MeasurePanel(server, scene.nodes, wake.set)
         with tabs.add_tab("Scans"):
             self.scans = ScansPanel(server, config.data_dir, scene.streams, wake.set)
-
-
-def address(access: AccessControl, port: int) -> str:
-    """The address with the token, as it is printed."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(access.bound_host, access.bound_host)  # noqa: S104
-    if ":" in host and not host.startswith("["):
-        host = f"[{host}]"
-    return f"http://{host}:{port}/?token={access.token}"
 
 
 def announce(url: str, run_dir: Path) -> None:

@@ -15,7 +15,7 @@ SILENCE_S = 10.0
 SAY_EVERY_S = 5.0
 
 
-class Narrator:
+class ProgressPrinter:
     """Says a scan's progress at most every few seconds, and at once when the state changes."""
 
     def __init__(self, say: Callable[[str], None], every_s: float = SAY_EVERY_S) -> None:

@@ -74,7 +74,7 @@ def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> in
 
 def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: Any) -> int:
     """Start a sweep by ``command``, and follow it with ``wait``; returns the exit status."""
-    from tui.client.follow import Narrator, exit_status_of, follow_scan
+    from tui.client.follow import ProgressPrinter, exit_status_of, follow_scan
     from tui.text.status_text import outcome_line
 
     with session.client() as client:
@@ -84,7 +84,7 @@ def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: A
             return 0
         if not as_json:
             _show_started(result, as_json=False)
-        narrator = Narrator(lambda line: click.echo(line, err=as_json))
+        narrator = ProgressPrinter(lambda line: click.echo(line, err=as_json))
         end = follow_scan(client, str(result.get("scan_uid", "")), narrator.hear)
     if as_json:
         print_json({**result, "outcome": end.outcome, "committed": end.committed, "missing": end.missing})

@@ -17,7 +17,7 @@ from acquire.contract.process.run_dir import is_served
 from acquire.contract.scan_data.dataset_names import REPORT_NAME
 from acquire.contract.scan_data.report_file import Report, read_report
 from acquire.contract.states import State
-from tui.client.follow import Narrator, follow_scan
+from tui.client.follow import ProgressPrinter, follow_scan
 from tui.client.rig_client import ProgressFeed, RigClient
 from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
 from tui.demo.report import DemoVerdict, is_final, report_of
@@ -141,7 +141,7 @@ def run_demo(options: DemoOptions) -> int:
 def _run_headless(options: DemoOptions) -> int:
     wake = threading.Event()
     with signals_set(wake) as came, DemoRig(options, _complain) as rig:
-        narrator = Narrator(say)
+        narrator = ProgressPrinter(say)
         demonstration = Demonstration(rig, say, narrator.hear)
         narrator.progress = demonstration.feed.newest
         demonstration.cancelled = wake

@@ -5,8 +5,6 @@ Clicks only put rays into a queue; the main loop, which alone changes the cloud,
 
 from __future__ import annotations
 
-import contextlib
-import queue
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -20,7 +18,7 @@ from process.viewer.rig_client.tile import Tile
 from process.viewer.stream.point_nodes import PointNodes
 
 from .picking import Distance, PickedPoint, Profile, Ray, measurements_csv, pick, profile, quality_words
-from .widgets import write
+from .widgets import JobQueue, write
 
 MARK_RGB = (255, 92, 168)
 MARK_SHARE = 0.01
@@ -28,8 +26,6 @@ MARK_SHARE = 0.01
 PROFILE_SHARE = 0.02
 """Width of a section as a part of the cloud's radius."""
 MOST = 50
-WAITING = 8
-"""Clicks that may wait for the main loop; more at once are no clicks."""
 NONE = "none yet"
 
 
@@ -39,9 +35,9 @@ class MeasurePanel:
     def __init__(self, server: viser.ViserServer, nodes: PointNodes, wake: Callable[[], None]) -> None:
         self._server = server
         self._nodes = nodes
-        self._wake = wake
-        self._rays: queue.Queue[tuple[Ray, viser.ClientHandle]] = queue.Queue(WAITING)
-        self._jobs: queue.Queue[Callable[[], None]] = queue.Queue(WAITING)
+        self._jobs = JobQueue(wake)
+        self._tiles: Mapping[int, Tile] = {}
+        self._eye_mm: NDArray[np.float64] | None = None
         self._first: PickedPoint | None = None
         self._distances: dict[str, Distance] = {}
         self._made = 0
@@ -56,7 +52,7 @@ class MeasurePanel:
         self._place = gui.add_folder("Section", visible=False)
         self._plot: viser.GuiUplotHandle | None = None
         self._on.on_update(self._switch)
-        self._which.on_update(self._queued(self._show_profile))
+        self._which.on_update(self._choose)
         self._actions.on_click(self._act)
         self._say_list()
 
@@ -68,48 +64,38 @@ class MeasurePanel:
             self._server.scene.on_click()(clicked)
         else:
             self._server.scene.remove_click_callback("all")
-        self._put(self._forget_first)
+        self._jobs.put(self._forget_first)
 
     async def _clicked(self, event: viser.SceneClickEvent) -> None:
         camera = event.client.camera
         ray = Ray(event.ray_origin, event.ray_direction, float(camera.fov) / max(1, camera.image_height))
-        with contextlib.suppress(queue.Full):
-            self._rays.put_nowait((ray, event.client))
-        self._wake()
+        self._jobs.put(lambda: self._pick(ray, event.client))
 
     async def _act(self, event: Any) -> None:
         if event.target.value == "CSV":
             if event.client is not None:
                 client = event.client
-                self._put(lambda: self._send_csv(client))
+                self._jobs.put(lambda: self._send_csv(client))
             return
-        self._put(self._delete_all if event.target.value == "Delete all" else self._delete)
+        self._jobs.put(self._delete_all if event.target.value == "Delete all" else self._delete)
 
-    def _queued(self, job: Callable[[], None]) -> Callable[[Any], Any]:
-        async def updated(_event: Any) -> None:
-            self._put(job)
-
-        return updated
-
-    def _put(self, job: Callable[[], None]) -> None:
-        with contextlib.suppress(queue.Full):
-            self._jobs.put_nowait(job)
-        self._wake()
+    async def _choose(self, _event: Any) -> None:
+        self._jobs.put(self._show_profile)
 
     # ---- in the main loop ----
 
     def turn(self, tiles: Mapping[int, Tile], eye_mm: NDArray[np.float64] | None) -> None:
         """Answer clicks on ``tiles``; ``eye_mm`` is where the rig's camera is, None if that is not known."""
-        while not self._jobs.empty():
-            self._jobs.get_nowait()()
-        while not self._rays.empty():
-            ray, client = self._rays.get_nowait()
-            least_mm = self._nodes.size_mm(self._nodes.fine) / 2
-            found = pick(tiles.values(), ray, least_mm, eye_mm, self._nodes.settings.box)
-            if found is None:
-                client.add_notification("No data here", "Click on a point of the cloud.", auto_close_seconds=3)
-            else:
-                self._take(found)
+        self._tiles, self._eye_mm = tiles, eye_mm
+        self._jobs.run()
+
+    def _pick(self, ray: Ray, client: viser.ClientHandle) -> None:
+        least_mm = self._nodes.size_mm(self._nodes.fine) / 2
+        found = pick(self._tiles.values(), ray, least_mm, self._eye_mm, self._nodes.settings.box)
+        if found is None:
+            client.add_notification("No data here", "Click on a point of the cloud.", auto_close_seconds=3)
+        else:
+            self._take(found)
 
     def forget(self, scan: str) -> None:
         """Another scan is shown: what was measured in the last one has no meaning in it."""

@@ -6,7 +6,6 @@ One thread reads and makes files; what it found goes through a queue to the main
 from __future__ import annotations
 
 import contextlib
-import queue
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -25,12 +24,11 @@ from process.viewer.rig_client.feed import Snapshot
 from process.viewer.stream.browser_stream import BrowserStreams
 
 from .shown_scan import ShownScan
-from .widgets import write
+from .widgets import JobQueue, write
 
 LIVE = "the rig's own"
 LIST_NS = 5 * NS_PER_S
 RENDER_TIMEOUT_S = 8.0
-WAITING = 32
 
 
 class ScansPanel:
@@ -41,8 +39,7 @@ class ScansPanel:
     ) -> None:
         self._data_dir = data_dir
         self._streams = streams
-        self._wake = wake
-        self._done: queue.Queue[Callable[[], None]] = queue.Queue(WAITING)
+        self._jobs = JobQueue(wake)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="viewer-files")
         self._entries: dict[str, ScanEntry] = {}
         self._wanted = LIVE
@@ -72,22 +69,17 @@ class ScansPanel:
 
     async def _choose(self, _event: Any) -> None:
         chosen = str(self._which.value)
-        self._put(lambda: self._open(chosen))
+        self._jobs.put(lambda: self._open(chosen))
 
     async def _export(self, event: Any) -> None:
         kind, client = str(event.target.value), event.client
         if client is not None:
-            self._put(lambda: self._begin_export(kind, client))
+            self._jobs.put(lambda: self._begin_export(kind, client))
 
     async def _screenshot(self, event: Any) -> None:
         client = event.client
         if client is not None:
             self._submit(self._render, client)
-
-    def _put(self, job: Callable[[], None]) -> None:
-        with contextlib.suppress(queue.Full):
-            self._done.put_nowait(job)
-        self._wake()
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
         """Let the thread do it; what goes wrong there is said on the page."""
@@ -96,7 +88,7 @@ class ScansPanel:
             if not future.cancelled() and (error := future.exception()) is not None:
                 kind = "" if isinstance(error, SweepscopeError) else f"{type(error).__name__}: "
                 words = f"that did not work: {kind}{error}"
-                self._put(lambda: self._say(words))
+                self._jobs.put(lambda: self._say(words))
 
         with contextlib.suppress(RuntimeError):  # the page is being closed
             self._thread.submit(job, *args).add_done_callback(ended)
@@ -105,25 +97,25 @@ class ScansPanel:
 
     def _list(self) -> None:
         entries = list_scans(self._data_dir)
-        self._put(lambda: self._offer(entries))
+        self._jobs.put(lambda: self._offer(entries))
 
     def _read(self, label: str, entry: ScanEntry) -> None:
         try:
             opened = open_scan(entry)
         except (SweepscopeError, MemoryError) as error:
             words = str(error)
-            self._put(lambda: self._say(words))
+            self._jobs.put(lambda: self._say(words))
             return
-        self._put(lambda: self._show(label, opened))
+        self._jobs.put(lambda: self._show(label, opened))
 
     def _read_finished(self, cloud_path: str) -> None:
         with contextlib.suppress(SweepscopeError):  # then the live points will do
             tiles = read_tiles(Path(cloud_path).parent)
-            self._put(lambda: self.shown.take_finished(cloud_path, tiles))
+            self._jobs.put(lambda: self.shown.take_finished(cloud_path, tiles))
 
     def _make(self, client: viser.ClientHandle, make: Callable[[], tuple[str, bytes]]) -> None:
         name, content = make()
-        self._put(lambda: self._streams.offer_file(client.client_id, name, content))
+        self._jobs.put(lambda: self._streams.offer_file(client.client_id, name, content))
 
     def _render(self, client: viser.ClientHandle) -> None:
         camera = client.camera
@@ -137,8 +129,7 @@ class ScansPanel:
 
     def turn(self, snapshot: Snapshot, now_ns: int, *, watched: bool) -> None:
         """Do what was asked for; look for new scans now and then while a browser shows the page."""
-        while not self._done.empty():
-            self._done.get_nowait()()
+        self._jobs.run()
         if watched and now_ns - self._list_ns >= LIST_NS:
             self._list_ns = now_ns
             self._submit(self._list)

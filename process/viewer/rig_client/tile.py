@@ -23,6 +23,8 @@ SMALL_MOVE = 0.25
 BOUNDS_SAMPLE = 512
 BOUNDS_QUANTILES = (0.02, 0.98)
 """A few stray points must not move the camera away from the object."""
+COLUMNS = ("xyz", "rgb", "provisional", "crossing", "sigma_um")
+"""What a tile has for each point, beside the quality that may be missing."""
 
 
 @dataclass(frozen=True)
@@ -75,16 +77,7 @@ class Tile:
         """True if nothing that is shown differs."""
         if other is None or (self.origin_mm, self.count) != (other.origin_mm, other.count):
             return False
-        return all(
-            np.array_equal(mine, theirs)
-            for mine, theirs in (
-                (self.xyz, other.xyz),
-                (self.rgb, other.rgb),
-                (self.provisional, other.provisional),
-                (self.crossing, other.crossing),
-                (self.sigma_um, other.sigma_um),
-            )
-        )
+        return all(np.array_equal(getattr(self, name), getattr(other, name)) for name in COLUMNS)
 
     def differs_little(self, other: Tile | None) -> bool:
         """True if so few points came, went, moved or settled that the difference is hardly seen."""
@@ -102,15 +95,8 @@ class Tile:
 
     def where(self, keep: Any) -> Tile:
         """Some of the points: ``keep`` is a mask [n], indices, or a slice."""
-        return Tile(
-            self.origin_mm,
-            self.xyz[keep],
-            self.rgb[keep],
-            self.provisional[keep],
-            self.crossing[keep],
-            self.sigma_um[keep],
-            self.quality[keep] if self.quality is not None else None,
-        )
+        kept = {name: getattr(self, name)[keep] for name in COLUMNS}
+        return replace(self, **kept, quality=self.quality[keep] if self.quality is not None else None)
 
     def thinned(self, keep_one_of: int) -> Tile:
         """Every ``keep_one_of``-th point, spread evenly; what a stronger thinning keeps, a weaker one keeps too."""
@@ -205,17 +191,10 @@ def tile_of_records(
 def merged(tiles: Sequence[Tile], origin_mm: tuple[float, float, float]) -> Tile:
     """All points of ``tiles`` as one tile about ``origin_mm``; the shift is done in float64."""
     origin = np.asarray(origin_mm)
-    shifted = [tile.xyz + (np.asarray(tile.origin_mm) - origin) for tile in tiles]
+    xyz = np.concatenate([tile.xyz + (np.asarray(tile.origin_mm) - origin) for tile in tiles]).astype(np.float32)
+    rest = {name: np.concatenate([getattr(tile, name) for tile in tiles]) for name in COLUMNS if name != "xyz"}
     qualities = [tile.quality for tile in tiles if tile.quality is not None]
-    return Tile(
-        origin_mm,
-        np.concatenate(shifted).astype(np.float32),
-        np.concatenate([tile.rgb for tile in tiles]),
-        np.concatenate([tile.provisional for tile in tiles]),
-        np.concatenate([tile.crossing for tile in tiles]),
-        np.concatenate([tile.sigma_um for tile in tiles]),
-        np.concatenate(qualities) if len(qualities) == len(tiles) else None,
-    )
+    return Tile(origin_mm, xyz, **rest, quality=np.concatenate(qualities) if len(qualities) == len(tiles) else None)
 
 
 def power_of_two(total: int, budget: int) -> int:

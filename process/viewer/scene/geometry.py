@@ -42,19 +42,21 @@ def field_of_view(camera: CameraModel) -> BoundingBox | None:
     return BoundingBox((float(low[0]), float(low[1]), 0.0), (float(high[0]), float(high[1]), 0.0))
 
 
+def sweep_coordinate(parameter: str, plan: SweepPlan | None, position_steps: int, position_um: float) -> float | None:
+    """The parameter t of a light plane at a stage position: t = frame index + 1, or um; None without a plan."""
+    if parameter != "frame":
+        return position_um
+    return (position_steps - plan.first_steps) / plan.pitch_steps + 1 if plan is not None else None
+
+
 def light_at(
     calibration: Calibration, plan: SweepPlan | None, position_steps: int, position_um: float
 ) -> tuple[NDArray[np.float64], float] | None:
     """Unit normal n and d of the light plane n . X = d at a stage position; None where it is not known."""
     light = calibration.light_plane
-    if light is None:
+    t = sweep_coordinate(light.parameter, plan, position_steps, position_um) if light is not None else None
+    if light is None or t is None:
         return None
-    if light.parameter == "frame":
-        if plan is None:
-            return None
-        t = (position_steps - plan.first_steps) / plan.pitch_steps + 1
-    else:
-        t = position_um
     if isinstance(light, PerFramePlanes):
         if not light.first_frame <= t <= light.last_frame:
             return None

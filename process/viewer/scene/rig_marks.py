@@ -15,7 +15,7 @@ from acquire.contract.calibration import Calibration, CameraModel, TranslatingPl
 from acquire.contract.messaging.messages import Status
 from process.viewer.rig_client.tile import BoundingBox
 
-from .geometry import camera_eye
+from .geometry import camera_eye, sweep_coordinate
 
 CAMERA_RGB = (150, 165, 185)
 RAIL_RGB = (120, 132, 150)
@@ -72,11 +72,9 @@ def _units_per_step(light: TranslatingPlane, status: Status) -> float | None:
 
 
 def _corner(light: TranslatingPlane, status: Status) -> NDArray[np.float64]:
-    """The corner of the pattern now, mm."""
-    if light.parameter == "frame" and status.plan is not None:
-        t = (status.position_steps - status.plan.first_steps) / status.plan.pitch_steps + 1
-    else:
-        t = status.position_um
+    """The corner of the pattern now, mm; a plane by frame needs the plan."""
+    t = sweep_coordinate(light.parameter, status.plan, status.position_steps, status.position_um)
+    assert t is not None
     place: NDArray[np.float64] = np.asarray(light.corner_origin_mm) + np.asarray(light.corner_velocity_mm) * t
     return place
 

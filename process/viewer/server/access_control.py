@@ -126,6 +126,11 @@ class AccessControl:
         """The Cookie header of a browser that may come in."""
         return f"{self.cookie_name}={self.session}"
 
+    def authority(self, port: int) -> str:
+        """Host and port under which this machine reaches the page."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.bound_host, self.bound_host)  # noqa: S104 - not bound
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
     def arm(self) -> None:
         """Let requests pass; before this even the own page gets 503, so that nobody sees a half-built page."""
         self._armed.set()

@@ -90,8 +90,8 @@ def start_server(
         AccessControlError: requests are not judged, or a stranger was let in.
     """
     meters: MutableMapping[Any, RateMeter] = {}
+    port = listener.getsockname()[1]
     with _guarded_serve(access, listener, meters, max_bytes_per_s) as used, _quiet():
-        port = listener.getsockname()[1]
         server = GuardedServer(host=access.bound_host, port=port, label="sweepscope", verbose=False)
     server.meters = meters
     try:
@@ -99,7 +99,7 @@ def start_server(
             raise AccessControlError(f"this version of viser cannot be guarded: {_WHAT_TO_DO}")
         for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
             server._websock_server.unregister_handler(message)
-        check_guard(access, listener.getsockname())
+        check_guard(access, port)
     except (AssertionError, AttributeError) as error:
         stop_server(server)
         raise AccessControlError(f"viser has changed inside ({error}): {_WHAT_TO_DO}") from None
@@ -199,14 +199,13 @@ def _harden(response: Response, host: str) -> None:
     response.headers["Cache-Control"] = "no-store"
 
 
-def check_guard(access: AccessControl, address: tuple[Any, ...]) -> None:
+def check_guard(access: AccessControl, port: int) -> None:
     """Try to open a websocket as strangers and as the own page; ``access`` must not be armed yet.
 
     Raises:
         AccessControlError: a stranger was let in, or the own page would not be.
     """
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address[0], address[0])  # noqa: S104 - compared, not bound
-    authority = f"[{host}]:{address[1]}" if ":" in host else f"{host}:{address[1]}"
+    authority = access.authority(port)
     own = f"http://{authority}"
     for who, origin, cookie, wanted in (
         ("a foreign page", FOREIGN_ORIGIN, access.cookie, HTTPStatus.FORBIDDEN),

@@ -1,4 +1,4 @@
-"""What the console's input thread tells the screen, as Textual messages; high-rate ones replace each other."""
+"""What the console's input thread tells the screen, as Textual messages."""
 
 from __future__ import annotations
 
@@ -27,20 +27,12 @@ class StatusArrived(Message):
 
     status: Status
 
-    def can_replace(self, message: Message) -> bool:
-        """Only the newest state counts."""
-        return isinstance(message, StatusArrived)
-
 
 @dataclass
 class ProgressArrived(Message):
     """How far the worker is."""
 
     progress: ResultProgress
-
-    def can_replace(self, message: Message) -> bool:
-        """Only the newest progress counts."""
-        return isinstance(message, ProgressArrived)
 
 
 @dataclass
