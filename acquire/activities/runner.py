@@ -10,7 +10,7 @@ from typing import Final
 
 import msgspec
 
-from acquire.cameras.protocol import CameraFrame, CameraGone, what_is_wrong
+from acquire.cameras.protocol import CameraFrame, CameraGone
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.faults import report
@@ -51,7 +51,7 @@ class ActivityRunner:
         self._preview_on = False
         self._proposal: Proposal | None = None
         self._next_ns = 0
-        self._owed_until_ns = 0
+        self.owed_until_ns = 0
         """A picture was asked for and may come until then; 0: none was."""
         self._asker: Activity | None = None
         """The activity that asked for it; None: the preview."""
@@ -111,10 +111,10 @@ class ActivityRunner:
     # ---- for the daemon's loop ----
 
     def is_stale(self, event: DeviceEvent, now_ns: int) -> bool:
-        """True for the preview's last picture when it arrives during a scan; it is dropped, once."""
-        if not self._owed_until_ns or not isinstance(event, CameraFrame):
+        """True for a picture that is still owed to the preview when it arrives during a scan; it is dropped, once."""
+        if not isinstance(event, CameraFrame):
             return False
-        in_time, self._owed_until_ns = now_ns < self._owed_until_ns, 0
+        in_time, self.owed_until_ns = now_ns < self.owed_until_ns, 0
         # a frame whose exposure began after the scan did belongs to the scan: the picture before it was lost
         return in_time and event.exposure_start_ns < self._scan_began_ns
 
@@ -123,7 +123,7 @@ class ActivityRunner:
         if isinstance(event, CameraFrame):
             self._take_frame(event, now_ns)
         elif isinstance(event, CameraGone):
-            self._owed_until_ns = 0
+            self.owed_until_ns = 0
             if not event.back:
                 self._board.fault(report("F18", detail=event.detail, committed=0, expected=0))
             else:
@@ -135,8 +135,8 @@ class ActivityRunner:
 
     def tick(self, now_ns: int) -> None:
         """Ask for the next picture when it is due; let the activity look at the time."""
-        if self._owed_until_ns and now_ns > self._owed_until_ns:
-            self._owed_until_ns = 0
+        if self.owed_until_ns and now_ns > self.owed_until_ns:
+            self.owed_until_ns = 0
             self.counters["pictures_late"] += 1
             self._tell_asker(lambda activity: activity.on_no_frame(now_ns), now_ns)
         self._tell(lambda activity: activity.on_tick(now_ns))
@@ -153,28 +153,28 @@ class ActivityRunner:
 
     def snap(self, now_ns: int) -> None:
         """Take one picture as soon as the last one has come; the activity and the preview's subscribers get it."""
-        if self._owed_until_ns:
+        if self.owed_until_ns:
             self._next_wanted = True
             return
         self._next_wanted = False
         self._asker = self.activity if self.activity is not None and self.activity.snaps else None
         self._asked = self._rig.stage.status().position_steps, self._rig.camera_settings.exposure_ms
         longest_ms = self._rig.camera_settings.exposure_ms * max(1.0, self._config.simulation.time_scale)
-        self._owed_until_ns = now_ns + ns_from_ms(longest_ms + self._config.camera.frame_timeout_ms)
+        self.owed_until_ns = now_ns + ns_from_ms(longest_ms + self._config.camera.frame_timeout_ms)
         self._rig.camera.snap()
 
     # ---- pictures ----
 
     def _wants_picture(self, now_ns: int) -> bool:
         busy = self.activity is not None and self.activity.snaps
-        due = now_ns >= self._next_ns and not self._owed_until_ns
+        due = now_ns >= self._next_ns and not self.owed_until_ns
         return self._preview_on and due and not busy and self._preview.watched
 
     def _take_frame(self, frame: CameraFrame, now_ns: int) -> None:
-        if not self._owed_until_ns:
+        if not self.owed_until_ns:
             return
-        self._owed_until_ns = 0
-        if what_is_wrong(frame, self._rig.camera_info.format):
+        self.owed_until_ns = 0
+        if self._rig.camera_info.format.mismatch(frame.pixels):
             self.counters["pictures_damaged"] += 1
             self._tell_asker(lambda activity: activity.on_no_frame(now_ns), now_ns)
             return

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import msgspec
-import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import SweepscopeError
@@ -97,15 +96,3 @@ class HostFiredCamera(Camera, Protocol):
     def fire(self, at_ns: int, position_steps: int) -> None:
         """A shot at ``position_steps`` (microsteps) at ``at_ns`` (CLOCK_MONOTONIC); its frame began after it."""
         ...
-
-
-def what_is_wrong(frame: CameraFrame, frame_format: FrameFormat) -> str:
-    """Why a frame cannot be of this scan, in words; empty when it can (F19)."""
-    pixels = frame.pixels
-    if pixels.shape != frame_format.shape:
-        return f"shape {pixels.shape} instead of {frame_format.shape}"
-    if pixels.dtype != np.dtype(frame_format.dtype):
-        return f"type {pixels.dtype} instead of {np.dtype(frame_format.dtype)}"
-    if not pixels.flags.c_contiguous:
-        return "rows that are not contiguous"
-    return ""

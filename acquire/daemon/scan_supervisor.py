@@ -14,9 +14,9 @@ from acquire.contract.plan import SweepPlan
 from acquire.contract.process.logs import follow_scan
 from acquire.contract.states import HoldReason, Outcome, State, outcome_words
 from acquire.contract.units import NS_PER_S
-from acquire.rigs.base import DeviceEvent, Rig
+from acquire.rigs.base import Rig
 from acquire.rigs.status_board import StatusBoard
-from acquire.sweep.events import LaneEvent, StopRequested, Tick
+from acquire.sweep.events import StopRequested, Tick
 
 from .frame_sender import FrameSender
 from .rates import Rate
@@ -93,12 +93,6 @@ class ScanSupervisor:
     def note_camera(self, event: CameraGone) -> None:
         """The camera is away or back, whether or not a scan runs."""
         self.camera_away = "" if event.back else event.detail or "it does not answer"
-
-    def take(self, event: DeviceEvent | LaneEvent, now_ns: int) -> None:
-        """An event of a device or of the writer, for the scan if one runs."""
-        if self.running is not None:
-            self.running.handle(event, now_ns)
-            self._board.touch()
 
     def tick(self, now_ns: int) -> bool:
         """Let time pass for the scan that runs; True once it is over: then call :meth:`finish`."""

@@ -149,11 +149,13 @@ class Daemon:
         """Handle everything that has come."""
         now_ns = self.clock.now_ns()
         self._watch_clocks(now_ns)
-        for event in self._events.take_all():
+        events, answers = self._events.take_all(), self._frames.poll(now_ns)
+        for event in events:
             self.take(event, now_ns)
-        for lane_event in self._frames.poll(now_ns):
-            self.scans.take(lane_event, now_ns)
-        if self._server.serve():
+        for answer in answers:
+            if self.scans.running is not None:
+                self.scans.running.handle(answer, now_ns)
+        if self._server.serve() or events or answers:
             self.board.touch()
         self._watch_messages()
         if self.scans.running is None:
@@ -170,13 +172,12 @@ class Daemon:
 
     def take(self, event: DeviceEvent, now_ns: int) -> None:
         """Hand an event of a device to the running scan, or to the activities."""
-        self.board.touch()
         if isinstance(event, CameraGone):
             self.scans.note_camera(event)
         if self.scans.running is None:
             self.runner.take(event, now_ns)
-        elif not self.runner.is_stale(event, now_ns):
-            self.scans.take(event, now_ns)
+        elif not self.runner.owed_until_ns or not self.runner.is_stale(event, now_ns):
+            self.scans.running.handle(event, now_ns)
 
     def _watch_clocks(self, now_ns: int) -> None:
         """Note a frozen process and a jump of the wall clock: they do no harm, but explain a gap in a log."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from acquire.cameras.protocol import CameraFrame, what_is_wrong
+from acquire.cameras.protocol import CameraFrame
 from acquire.contract.messaging.messages import FrameFormat, Image, Role
 from acquire.contract.scan_data.checksums import frame_crc32
 from acquire.contract.units import steps_to_um
@@ -164,7 +164,7 @@ class FrameIntake:
         if match.shot is None:
             self.counters["extra"] += 1
             return Arrival(None, losses, extra=True)
-        wrong = what_is_wrong(frame, self.settings.format)
+        wrong = self.settings.format.mismatch(frame.pixels)
         if wrong:
             self.counters["damaged"] += 1
             return Arrival(None, (*losses, Loss((match.shot,), "F19", wrong)))
@@ -196,7 +196,7 @@ class FrameIntake:
         """Publish a frame without a trigger, taken at ``position_steps`` (microsteps); none if it came damaged."""
         settings = self.settings
         self.pairing.note_clock(frame.exposure_start_ns)
-        if what_is_wrong(frame, settings.format):
+        if settings.format.mismatch(frame.pixels):
             self.counters["damaged"] += 1
             return []
         image = Image(

@@ -65,6 +65,14 @@ class FrameFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Bytes of one stored frame."""
         return self.height * self.width * (3 if self.pixel_format == "rgb" else 1) * (1 if self.bit_depth == 8 else 2)
 
+    def mismatch(self, pixels: Any) -> str:
+        """Why ``pixels`` (a numpy array) are no frame of this format, in words (F19); empty when they are one."""
+        if pixels.shape != self.shape:
+            return f"shape {pixels.shape} instead of {self.shape}"
+        if pixels.dtype != self.dtype:
+            return f"type {pixels.dtype} instead of {'uint8' if self.bit_depth == 8 else 'uint16'}"
+        return "" if pixels.flags.c_contiguous else "rows that are not contiguous"
+
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"):
     """The header that every message carries. Unknown keys are ignored: a newer minor version may add some."""
