@@ -1,9 +1,10 @@
 """Waits of the tests, with deadlines that tell a hang from a busy machine.
 
-Beside eight programs that compute, a process gets a fifth of a core, and a deadline by the wall clock fails though
-nothing hangs. So deadlines of tests count seconds of an undisturbed machine: while more threads want a core than
-there are cores, a second counts as the share of a core that each thread gets. A deadline of 30 s is 30 s on an idle
-machine and 150 s beside a load of eight on two cores; a hang reaches it on both.
+Beside eight programs that compute, a process gets a fifth of a core or less, and a deadline by the wall clock fails
+though nothing hangs. So deadlines of tests count seconds of an undisturbed machine: a second counts as the share of
+the time that our processes got of what they asked for. Linux tells it: how long each thread has run, and how long it
+has waited for a core. A hang does not ask for a core and reaches its deadline in time; what computes on a busy machine
+gets as many seconds as it loses.
 
 All waits of tests go through this module, and the time limit of each test (``conftest.py``) uses the same clock.
 """
@@ -16,6 +17,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,32 +29,75 @@ DEADLINE_S = 60.0
 WALL_CLOCK_S = 600.0
 """For calls that take only a time-out by the wall clock: the time limit of the test ends a hang much earlier."""
 
-_SAMPLE_S = 0.1
+_SAMPLE_S = 0.5
 _SLICE_S = 0.2
-_LOAD = Path("/proc/loadavg")
+_LEAST_SHARE = 0.01
+"""So that every deadline ends some time."""
+_NS_PER_S = 1_000_000_000
 
 T = TypeVar("T")
 
 
-def share_of_a_core(runnable: int, cores: int) -> float:
-    """Share of a core that each of ``runnable`` threads gets on ``cores``; 1.0 while there is a core for each."""
+def fair_share(runnable: int, cores: int) -> float:
+    """Share of a core for each of ``runnable`` threads on ``cores``; 1.0 while there is a core for each."""
     return min(1.0, cores / max(1, runnable))
 
 
-def runnable_threads() -> int:
-    """Threads of the whole machine that run or wait for a core, without the one that asks; 0 where Linux hides it."""
-    try:
-        return int(_LOAD.read_text().split()[3].split("/")[0]) - 1
-    except OSError:
-        return 0
+def share_got(ran_s: float, waited_s: float, wall_s: float) -> float:
+    """Share of ``wall_s`` that processes which ran and waited for a core so long were not kept waiting.
+
+    One that computes all the time gets ran / (ran + waited); one that rests most of the time loses what it waited.
+    """
+    if waited_s <= 0:
+        return 1.0
+    return 1.0 - min(waited_s / (ran_s + waited_s), waited_s / wall_s)
+
+
+class MachineShare:
+    """How much of an undisturbed machine the processes of this test run got since the last question.
+
+    The smaller of two measures: what their threads waited for a core, which is exact but misses processes that have
+    left this process's family (a terminal's server), and the fair share of a core for each thread of the machine.
+    """
+
+    def __init__(self) -> None:
+        self._cores = len(os.sched_getaffinity(0))
+        self._before = _thread_times()
+
+    def __call__(self, wall_s: float) -> float:
+        now = _thread_times()
+        gone = [(ran - old[0], waited - old[1]) for key, (ran, waited) in now.items()
+                for old in [self._before.get(key, (0, 0))]]  # fmt: skip
+        self._before = now
+        ran_s, waited_s = (sum(part[k] for part in gone) / _NS_PER_S for k in (0, 1))
+        return max(_LEAST_SHARE, min(share_got(ran_s, waited_s, wall_s), fair_share(_runnable(), self._cores)))
+
+
+def _thread_times() -> dict[str, tuple[int, int]]:
+    """For each thread of this process and its descendants: ns that it ran, ns that it waited for a core."""
+    me, times = psutil.Process(), {}
+    for process in [me, *me.children(recursive=True)]:
+        for path in Path(f"/proc/{process.pid}/task").glob("*/schedstat"):
+            with suppress(OSError):
+                ran, waited, _ = map(int, path.read_text().split())
+                times[str(path)] = ran, waited
+    return times
+
+
+def _runnable() -> int:
+    """Threads of the whole machine that run or wait for a core, without the one that asks."""
+    return int(Path("/proc/loadavg").read_text().split()[3].split("/")[0]) - 1
 
 
 class UndisturbedClock:
-    """Counts the seconds of an undisturbed machine; a thread of its own samples the load ten times a second."""
+    """Counts the seconds of an undisturbed machine; a thread of its own samples the load twice a second.
 
-    def __init__(self, runnable: Callable[[], int] = runnable_threads) -> None:
-        self._runnable = runnable
-        self._cores = len(os.sched_getaffinity(0))
+    Args:
+        share: given the seconds since the last sample, the share of them that counts.
+    """
+
+    def __init__(self, share: Callable[[float], float]) -> None:
+        self._ask = share
         self._lock = threading.Lock()
         self._sampler: threading.Thread | None = None
         self._elapsed_s, self._share, self._at_s = 0.0, 1.0, time.monotonic()
@@ -66,11 +111,12 @@ class UndisturbedClock:
             return self._elapsed_s + (time.monotonic() - self._at_s) * self._share
 
     def sample(self) -> None:
-        """Count the time since the last sample by the load of this moment."""
+        """Count the time since the last sample."""
+        wall_s = time.monotonic() - self._at_s
+        share = self._ask(wall_s)
         with self._lock:
-            now_s, self._share = time.monotonic(), share_of_a_core(self._runnable(), self._cores)
-            self._elapsed_s += (now_s - self._at_s) * self._share
-            self._at_s = now_s
+            self._share, self._at_s = share, self._at_s + wall_s
+            self._elapsed_s += wall_s * share
 
     def _sample_forever(self) -> None:
         while True:
@@ -78,7 +124,7 @@ class UndisturbedClock:
             self.sample()
 
 
-CLOCK = UndisturbedClock()
+CLOCK = UndisturbedClock(MachineShare())
 
 
 class Stopwatch:
