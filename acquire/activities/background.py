@@ -1,4 +1,4 @@
-"""An activity whose work is done in a thread: the daemon's loop goes on, and looks now and then whether it is over."""
+"""An activity whose work is done in a thread, so that the daemon's loop goes on."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DEADLINE_NS: Final = 60 * NS_PER_S
 
 
 class Background(Activity):
-    """Does ``work`` in a thread; its return value is how it ended, its error why it failed."""
+    """Does ``work`` in a thread; its return value, or its error, is shown as how the activity ended."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class Background(Activity):
             self._error = " ".join(str(error).split()) or type(error).__name__
 
     def on_tick(self, now_ns: int) -> None:
-        """Is it over?"""
+        """End when the thread has ended, or after ``DEADLINE_NS``."""
         if self._thread is None:
             return
         if not self._thread.is_alive():

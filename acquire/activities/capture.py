@@ -1,4 +1,4 @@
-"""One picture in full size as a PNG: for calibration, where the reduced ones of the preview lane are too coarse."""
+"""Writes one full-size picture as a PNG, for calibration, where reduced preview pictures are too coarse."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FOLDER: Final = "captures"
 
 
 def capture_path(wanted: str, data_dir: Path) -> Path:
-    """Where a picture goes.
+    """The path of a new picture.
 
     Raises:
-        CommandRefusedError: outside the folder of scans, not a .png, or there already.
+        CommandRefusedError: it lies outside the folder of scans, is no .png, or exists.
     """
     data_dir = data_dir.resolve()
     if not wanted:

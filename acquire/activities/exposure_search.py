@@ -1,4 +1,4 @@
-"""Finds the exposure with which the brightest of what the camera sees lies just below full scale; then it stays."""
+"""Automatic exposure: finds the one with which the brightest pixels lie just below full scale."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from .base import Activity
 from .images import measure
 
 TARGET: Final = 0.85
-"""Where the 99.9th percentile shall lie, as a share of full scale."""
+"""Wanted 99.9th percentile, as a share of full scale."""
 CLOSE_ENOUGH: Final = 0.03
 LEAST: Final = 0.4
-"""Below this share at the longest exposure the pictures are too dark to be worth taking."""
+"""Below this share at the longest exposure pictures are too dark to be of use."""
 SATURATED: Final = 0.985
 DARK: Final = 0.02
-"""Less than so much above black says nothing of how bright it would be at a longer exposure."""
+"""Brightness above black below which the brightness at a longer exposure cannot be predicted."""
 MOST_PICTURES: Final = 12
 _LONGER, _SHORTER = 8.0, 0.35
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do after a picture."""
+    """The next step after a picture."""
 
     exposure_ms: float
     done: bool = False
     complaint: str = ""
-    """Why there is no good exposure, in words; empty where there may be one."""
+    """Why there is no good exposure; empty where there may be one."""
 
 
 def advise(exposure_ms: float, high: float, black: float, bounds_ms: tuple[float, float]) -> Advice:
@@ -71,7 +71,7 @@ def _at_longest(longest_ms: float, high: float) -> Advice:
 
 
 class ExposureSearch(Activity):
-    """Takes pictures with one exposure after the other; fails by putting the first one back."""
+    """Takes pictures with one exposure after the other; a failure restores the first one."""
 
     name: ClassVar[str] = "exposure"
     snaps: ClassVar[bool] = True
@@ -99,7 +99,7 @@ class ExposureSearch(Activity):
         self._look(self._exposure_ms, now_ns)
 
     def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
-        """Judge the picture; look again, or be done."""
+        """Judge the picture; take another one, or end."""
         high = measure(frame.pixels, self._bit_depth).high / 255
         advice = advise(self._exposure_ms, high, self._black, self._bounds)
         self._pictures += 1
@@ -114,16 +114,16 @@ class ExposureSearch(Activity):
             self._look(advice.exposure_ms, now_ns)
 
     def on_no_frame(self, now_ns: int) -> None:
-        """Nothing was learned."""
+        """The search cannot go on."""
         self._fail("no usable picture came from the camera: is it connected?")
 
     def cancel(self) -> None:
-        """The exposure is as it was."""
+        """Restore the exposure."""
         self._expose(self._before_ms)
 
     def _look(self, exposure_ms: float, now_ns: int) -> None:
         used_ms = self._expose(exposure_ms)
-        # a camera that rounds still knows its bounds: one that was asked for counts as reached
+        # a camera may round: a bound that was asked for counts as reached
         self._exposure_ms = exposure_ms if exposure_ms in self._bounds else used_ms
         self._snap(now_ns)
 

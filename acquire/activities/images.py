@@ -1,4 +1,4 @@
-"""Pictures for people: a camera frame reduced to a small one, and its brightness in three numbers. Pure and quick."""
+"""Reduces a camera frame to a small picture, and measures its brightness. Pure and quick."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.scan_data.bayer import BAYER
 
 WIDEST_PX: Final = 512
-"""A picture for people is at most so wide."""
+"""Largest width of a preview picture."""
 _MOST_AVERAGED: Final = 4
-"""Frames that must shrink more than this are thinned before: a large one must not cost more than it shows."""
+"""Frames that must shrink by more than this are subsampled first, for speed."""
 _SAMPLES: Final = 200_000
-"""Pixels that the statistics look at, about; whole rows, evenly spread."""
+"""About so many pixels are measured: whole rows, evenly spread."""
 
 
 @dataclass(frozen=True)
 class Brightness:
-    """How bright a frame is; where there are colours, that of the brightest channel."""
+    """Brightness of a frame; of a colour frame, that of the brightest channel."""
 
     full_scale_share: float
     """Share of the pixels at full scale, 0..1."""
@@ -35,7 +35,7 @@ class Brightness:
 def measure(pixels: NDArray[Any], bit_depth: int) -> Brightness:
     """Brightness of a frame [h, w] or [h, w, 3], uint8 or uint16 right-aligned, from evenly spread rows.
 
-    A Bayer frame is measured as it is: an odd distance of the rows meets both of its kinds.
+    A Bayer frame is measured as it is: an odd distance between rows samples both kinds of rows.
     """
     step = max(1, pixels.shape[0] * pixels.shape[1] // _SAMPLES) | 1
     sample = np.ascontiguousarray(pixels[::step])
@@ -56,7 +56,7 @@ def measure(pixels: NDArray[Any], bit_depth: int) -> Brightness:
 def reduce(pixels: NDArray[Any], frame_format: FrameFormat) -> NDArray[np.uint8]:
     """The frame as uint8 [h, w] or [h, w, 3] RGB, averaged by area to at most ``WIDEST_PX`` wide; a copy.
 
-    It shrinks by a whole number, which is quick; fewer rows and columns than that number are left out at the far edges.
+    It shrinks by a whole number, which is quick; the rest of rows and columns at the far edges is left out.
     """
     if frame_format.pixel_format in BAYER:
         pixels = _quarter(pixels, frame_format.pixel_format.removeprefix("bayer_"))
@@ -84,7 +84,7 @@ def _quarter(raw: NDArray[Any], colours: str) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class View:
-    """A frame that may become a picture, with what belongs to it."""
+    """A frame that may become a preview picture, and where it was taken."""
 
     pixels: NDArray[Any]
     position_steps: int

@@ -1,4 +1,4 @@
-"""Motion as long as somebody holds a key: under a lease that key presses renew, never further than a bound."""
+"""Motion while a key is held: key presses renew a lease, and the way is bounded."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from acquire.stages.protocol import Moved, Stage
 from .base import Activity, Rest
 
 LEASE_MS: Final = 300
-"""Without a renewal for so long the stage stops."""
+"""The stage stops when the lease was not renewed for so long."""
 MOST_STEPS: Final = 2000
-"""One hold moves the stage no further than this, in microsteps; then the key must be let go."""
+"""Longest way of one hold, in microsteps; then the key must be released."""
 
 
 class JogHold(Activity):
-    """One hold, from its first key press until the stage rests."""
+    """One hold, from the first key press until the stage rests."""
 
     name: ClassVar[str] = "jog"
     moves: ClassVar[bool] = True
 
     def __init__(self, stage: Stage, *, direction: int, target_steps: int, limit: str, rate_steps_per_s: float) -> None:
-        """``limit`` is what ends the hold at ``target_steps``, in words."""
+        """``limit`` names what ends the hold at ``target_steps``."""
         super().__init__()
         self.direction, self.target_steps, self.limit = direction, target_steps, limit
         self._stage, self._rate = stage, rate_steps_per_s
@@ -30,7 +30,7 @@ class JogHold(Activity):
         self._stopping = False
 
     def begin(self, now_ns: int) -> None:
-        """Start toward the bound."""
+        """Move toward the bound."""
         self.renew(now_ns)
         self._stage.move_to(self.target_steps, self._rate)
 
@@ -39,16 +39,16 @@ class JogHold(Activity):
         self._until_ns = now_ns + LEASE_MS * NS_PER_MS
 
     def let_go(self) -> None:
-        """The key is not held any more."""
+        """The key was released."""
         self._until_ns = 0
 
     def on_tick(self, now_ns: int) -> None:
-        """Stop when the key was let go, or nobody is heard any more."""
+        """Stop when the lease has run out."""
         if now_ns > self._until_ns and not self._stopping:
             self._stopping = True
             self._stage.stop()
 
     def on_rest(self, event: Rest, now_ns: int) -> None:
-        """It is over: let go, at the bound, or stopped by itself."""
+        """The hold is over: released, at its bound, or stopped."""
         reached = isinstance(event, Moved) and event.position_steps == self.target_steps
         self.end(f"at {event.position_steps} microsteps{f', {self.limit}' if reached else ''}")

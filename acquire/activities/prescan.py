@@ -1,4 +1,4 @@
-"""A quick look at every n-th position of a sweep, and what it proposes. Nothing of it is taken over by itself."""
+"""Pre-scan: one picture at every n-th position of a sweep, from which bounds and exposure are proposed."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .images import measure, reduce
 from .prescan_analysis import Looks
 
 MOST_LOOKS: Final = 200
-"""Looks are kept in memory until the last one."""
+"""Bound of the pictures, which are kept in memory until the last one."""
 FRAMES_PER_LOOK: Final = 20
 
 
 def look_positions(first_steps: int, last_steps: int, every_steps: int | None, steps_per_frame: int) -> list[int]:
-    """Positions of the looks, both ends included; without ``every_steps`` twenty frames apart, or more if need be.
+    """Positions of the pictures, both ends included; without ``every_steps`` twenty frames apart, or more if need be.
 
     Raises:
-        CommandRefusedError: too many looks.
+        CommandRefusedError: too many pictures.
     """
     distance = abs(last_steps - first_steps)
     least = -(-distance // (MOST_LOOKS - 1))
@@ -36,7 +36,7 @@ def look_positions(first_steps: int, last_steps: int, every_steps: int | None, s
 
 
 class Prescan(Activity):
-    """Moves, settles, looks; one position after the other, by the light of the lamp."""
+    """Moves, settles and takes a picture, at one position after the other, with the lamp on."""
 
     name: ClassVar[str] = "prescan"
     moves: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class Prescan(Activity):
         conclude: Callable[[Looks], tuple[Proposal, int]],
         keep: Callable[[Proposal], None],
     ) -> None:
-        """``conclude`` turns all looks into the proposal that ``keep`` takes, and says where most is lit."""
+        """``conclude`` makes the proposal for ``keep`` from all pictures, and finds the position where most is lit."""
         super().__init__()
         self._positions = positions
         self._stage, self._snap, self._format = stage, snap, frame_format
@@ -70,7 +70,7 @@ class Prescan(Activity):
         self._stage.move_to(self._positions[0])
 
     def on_rest(self, event: Rest, now_ns: int) -> None:
-        """Arrived: let it settle."""
+        """The stage has arrived: let it settle."""
         here = self._positions[len(self._looks.positions)]
         if not isinstance(event, Moved) or event.position_steps != here:
             self.end(f"the stage stopped at {event.position_steps} microsteps", failed=True)
@@ -78,13 +78,13 @@ class Prescan(Activity):
             self._look_ns = max(now_ns + self._settle_ns, self._warm_ns or 0)
 
     def on_tick(self, now_ns: int) -> None:
-        """It has settled, and the light is steady: look."""
+        """Take the picture once the stage has settled and the lamp is warm."""
         if self._look_ns is not None and now_ns >= self._look_ns:
             self._look_ns = None
             self._snap(now_ns)
 
     def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
-        """Keep the look and go on to the next, or conclude."""
+        """Keep the picture and go to the next position, or conclude."""
         brightness = measure(frame.pixels, self._format.bit_depth)
         here = self._positions[len(self._looks.positions)]
         small = reduce(frame.pixels, self._format)
@@ -103,6 +103,6 @@ class Prescan(Activity):
         )
 
     def on_no_frame(self, now_ns: int) -> None:
-        """Nothing is proposed from half of the looks."""
+        """Propose nothing from half of the pictures."""
         done, count = len(self._looks.positions), len(self._positions)
         self.end(f"no usable picture came at look {done + 1} of {count}: is the camera connected?", failed=True)

@@ -1,4 +1,4 @@
-"""What a few looks say of a sweep: where the light meets the specimen and has passed it, how bright it gets. Pure."""
+"""Bounds and exposure of a sweep from the pictures of a pre-scan. Pure."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from numpy.typing import NDArray
 from .exposure_search import TARGET
 
 FEW: Final = 0.002
-"""Pixels of the specimen that may behave otherwise, as a share: noise and glints."""
+"""Share of the specimen's pixels that may be outliers: noise and glints."""
 LEAST_PIXELS: Final = 4
 WIDEST_PX: Final = 256
-"""Looks are kept at most so wide: bounds need no more, and all of them are judged in one turn of the loop."""
+"""Pictures are kept at most so wide: bounds need no more, and all are analysed in one turn of the daemon's loop."""
 WARN_SHARE: Final = 0.005
-"""From this share of the specimen on, light at the wrong end is worth a warning."""
+"""Share of the specimen from which on light at the wrong end causes a warning."""
 RISEN: Final = 0.1
 DONE: Final = 0.9
 """Shares of a pixel's range at which the light begins to arrive, and has arrived."""
 CLIPPED: Final = 0.998
-"""From here on the percentile itself is cut off and says nothing of how bright it would be."""
+"""From this share of full scale on the percentile is saturated."""
 _GUESS: Final = 0.5
-"""What is saturated could be anything: its exposure is halved, and a warning says so."""
+"""Factor for the exposure of saturated pictures, whose brightness is unknown."""
 
 
 @dataclass
 class Looks:
-    """Reduced grey pictures, one for each position, and the brightest that was seen at full size."""
+    """Reduced grey pictures, one for each position, and the highest brightness at full size."""
 
     positions: list[int] = field(default_factory=list)
     pictures: list[NDArray[np.uint8]] = field(default_factory=list)
     high: float = 0.0
-    """Highest 99.9th percentile of any look, as a share of full scale."""
+    """Highest 99.9th percentile of any picture, as a share of full scale."""
     full_scale_share: float = 0.0
-    """Largest share of a look's pixels at full scale."""
+    """Largest share of a picture's pixels at full scale."""
 
     def add(self, position_steps: int, picture: NDArray[np.uint8], high: float, full_scale_share: float) -> None:
-        """One look: [h, w] grey or [h, w, 3] RGB, uint8, at most some hundred pixels wide."""
+        """Add a picture: [h, w] grey or [h, w, 3] RGB, uint8, at most some hundred pixels wide."""
         grey: NDArray[Any] = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
         if grey.shape[1] > WIDEST_PX:
             height = max(1, round(grey.shape[0] * WIDEST_PX / grey.shape[1]))
@@ -53,17 +53,17 @@ class Looks:
 
 @dataclass(frozen=True)
 class Bounds:
-    """From where to where a sweep should go."""
+    """Proposed first and last position of a sweep."""
 
     first_steps: int
     last_steps: int
     brightest_steps: int
-    """Where most of the specimen is lit: the place for setting the exposure."""
+    """Position where most of the specimen is lit, for setting the exposure."""
     warnings: tuple[str, ...]
 
 
 def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bounds:
-    """Where the sweep should begin and end: one look's distance outside what the light does to the specimen.
+    """Begin and end of the sweep: one position before the light reaches the specimen and after it has passed.
 
     The specimen is every pixel whose range reaches ``contrast`` (8-bit counts). Bounds lie within ``travel``.
     """
@@ -74,8 +74,8 @@ def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bound
         middle = positions[int(pictures.reshape(len(positions), -1).mean(axis=1).argmax())]
         what = f"no pixel changes by {contrast:g} counts: is there a specimen, and does the light reach it?"
         return Bounds(positions[0], positions[-1], middle, (what,))
-    risen, done, lit = _course(pictures[:, mask].astype(np.float32))
-    # what the light lies on all the time does not change, and is no darker than what it meets later
+    risen, done, lit = _lighting(pictures[:, mask].astype(np.float32))
+    # pixels that are lit in all pictures do not change, and are no darker than those that are lit later
     always = np.count_nonzero(low >= np.median((low[mask].astype(np.float32) + high[mask]) / 2))
     lit_at_first = (np.count_nonzero(lit[0]) + always) / (lit.shape[1] + always)
     begin, end = (_quantile(risen, FEW), _quantile(done, 1 - FEW))
@@ -90,9 +90,9 @@ def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bound
 
 
 def propose_exposure(looks: Looks, exposure_ms: float, black: float, bounds_ms: Sequence[float]) -> tuple[float, str]:
-    """The exposure that brings the brightest of all looks to the target, in ms, and a warning (empty: none).
+    """The exposure that brings the brightest picture to the target, in ms, and a warning (empty: none).
 
-    ``black`` is the black level as a share of full scale; the looks were taken with ``exposure_ms``.
+    ``black`` is the black level as a share of full scale; the pictures were taken with ``exposure_ms``.
     """
     shortest, longest = bounds_ms
     if looks.high >= CLIPPED:
@@ -108,8 +108,8 @@ def propose_exposure(looks: Looks, exposure_ms: float, black: float, bounds_ms: 
     return longest, f"it stays dark: {wanted_ms:.3g} ms would be right, {longest:.3g} ms is the longest; raise the gain"
 
 
-def _course(seen: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """For each pixel [n]: looks at which the light begins to arrive and has arrived; and [looks, n] where it is lit."""
+def _lighting(seen: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    """For each pixel [n] the pictures in which light begins to arrive, and has; [pictures, n] where it is lit."""
     low, high = seen.min(axis=0), seen.max(axis=0)
     risen = (seen >= low + RISEN * (high - low)).argmax(axis=0)
     done = (seen >= low + DONE * (high - low)).argmax(axis=0)

@@ -1,4 +1,4 @@
-"""Lays something else under the simulated camera while it runs: its scene is computed in a thread, then shown."""
+"""Lays another specimen under the simulated camera: its scene is computed in a thread, then shown."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from .background import Background
 
 
 class Specimen(Background):
-    """Takes a second or two; pictures go on with the scene before until then."""
+    """Takes a second or two; until then pictures show the scene before."""
 
     name: ClassVar[str] = "specimen"
 
     def __init__(self, show: Callable[[], str]) -> None:
-        """``show`` computes and shows the scene and says what lies there now."""
+        """``show`` computes and shows the scene, and describes it."""
         super().__init__()
         self._show = show
 

@@ -1,4 +1,4 @@
-"""calibration.json: parsed, checked by name, refused when it cannot be meant (docs/design.md, section 5)."""
+"""calibration.json: parsed and checked; each refusal names the key (docs/design.md, section 5)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Vector3 = tuple[float, float, float]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
 MAX_FILE_BYTES = 64 * 1024 * 1024
 ROTATION_TOLERANCE = 1e-3
-"""Printed calibrations carry four digits; their R is orthogonal to about this."""
+"""Printed calibrations have four digits; their R is orthogonal to about this."""
 
 
 class CameraModel(msgspec.Struct, frozen=True):
@@ -48,7 +48,7 @@ class TranslatingPlane(msgspec.Struct, frozen=True, tag_field="kind", tag="trans
     edge: Literal["rising", "falling"] = "rising"
     method: str = "linear"
     velocity_direction: Literal["normal", "corner-track", "assumed-axis"] = "normal"
-    """How far the velocity's direction can be trusted: along the normal only, or as a vector."""
+    """What of the velocity is known: its component along the normal only, or the whole vector."""
 
 
 class PerFramePlanes(msgspec.Struct, frozen=True, tag_field="kind", tag="per-frame"):

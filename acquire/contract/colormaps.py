@@ -1,4 +1,4 @@
-"""Owns the colour maps of every screen: console, page and figures show the same value in the same colour."""
+"""The colour maps of console, page and figures, which show the same value in the same colour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors meant for people: one line that says what happened, what is safe and what to do."""
+"""Errors for operators: one line that says what happened, what is safe and what to do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ EXIT_INCOMPLETE = 4
 
 
 class SweepscopeError(Exception):
-    """Something that a person has to know; the text is one line, the exit status is part of the type."""
+    """An error that the operator is shown: the text is one line, the exit status is part of the type."""
 
     exit_status = EXIT_FAILED
 
@@ -27,7 +27,7 @@ class ScanFileError(SweepscopeError):
 
 
 class ProtocolError(SweepscopeError):
-    """A message that is malformed, out of bounds, or speaks another major version."""
+    """A message that is malformed, out of bounds, or of another major version."""
 
 
 class AlreadyRunningError(SweepscopeError):

@@ -1,4 +1,4 @@
-"""The table of faults: what happened, what is safe, what to do, in the words that the operator reads."""
+"""The table of faults: what happened, what is safe, what to do, as the operator reads it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ROWS = (
         "F07",
         "the scan folder cannot be written: {detail}",
         _KEPT,
-        "mend the disk: the sweep then goes on; stop it if the file is gone",
+        "repair the disk: the sweep then goes on; stop it if the file is gone",
     ),
     Fault("F08", "the worker is away", _KEPT + "; the sweep goes on", "nothing: it catches up from the file"),
     Fault("F09", "a viewer or console is slow", "the sweep does not notice", "nothing"),

@@ -1,4 +1,4 @@
-"""Acquire/contract/frame_ranges.py."""
+"""Frame indices as ranges, as messages and reports contain them."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class HoldReason(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a scan ended; ``running`` only while it does, ``interrupted`` when somebody died."""
+    """How a scan ended; ``running`` only while it does, ``interrupted`` when a process died."""
 
     RUNNING = "running"
     COMPLETE = "complete"

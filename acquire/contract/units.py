@@ -24,7 +24,7 @@ def nice_length(length: float, *, above: bool = False) -> float:
     length = max(length, 1e-12)
     power = 10.0 ** math.floor(math.log10(length))
     nice = [step * power for step in (1, 2, 5, 10)]
-    # the tolerances keep a length that is nice but for rounding where it is
+    # the tolerances keep a length that differs from a nice one by rounding only
     if above:
         return next(step for step in nice if step >= length * 0.999)
     return max(step for step in nice if step <= length * 1.0001)
@@ -39,7 +39,7 @@ def format_duration(duration_s: float | None) -> str:
 
 
 def format_bytes(size_bytes: float) -> str:
-    """A size in bytes as people read it, in powers of 1000."""
+    """A size in bytes with a unit, in powers of 1000."""
     for unit in ("B", "kB", "MB", "GB"):
         if abs(size_bytes) < 1000:
             return f"{size_bytes:.0f} {unit}" if unit == "B" else f"{size_bytes:.1f} {unit}"

@@ -1,1 +1,1 @@
-"""The rig daemon: one loop that owns stage, camera and lamp and runs one scan at a time."""
+"""The rig daemon: one loop that drives stage, camera and lamp and runs one scan at a time."""

@@ -1,4 +1,4 @@
-"""The source's end of the lossless lane: keeps each frame until its ack, replays to a writer that came back."""
+"""The daemon's end of the frames lane: keeps each frame until its ack, and sends it again to a new writer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from acquire.contract.errors import ProtocolError
 from acquire.contract.frame_ranges import indices_of
 from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Ack, AckItem, End, EndAck, Hello, Image, Message, Nack, Start, StartAck
-from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.log_throttle import log_throttled
 from acquire.contract.units import NS_PER_S
 from acquire.sweep.credit_window import FrameKey
 from acquire.sweep.events import Committed, LaneEvent, Refused, Sealed, WriterReady
@@ -40,7 +40,7 @@ class _Writer:
     acknowledged: bool = False
     """It has sent start_ack for the scan that runs."""
     announced: bool = False
-    """The scan was announced to it since it was last heard to say hello."""
+    """The scan was announced to it since its last hello."""
 
 
 class FrameSender:
@@ -70,7 +70,7 @@ class FrameSender:
             self._greet()
 
     def forget(self) -> None:
-        """The scan is over: whatever is still kept is dropped, nothing is announced any more."""
+        """The scan is over: drop the frames that are still kept."""
         self._start = self._end = None
         self.unacked, self._acked = {}, set()
 
@@ -80,7 +80,7 @@ class FrameSender:
         return self._writer is not None and self._writer.acknowledged
 
     def alive(self, now_ns: int, lost_after_ns: int) -> bool:
-        """The writer has said something lately."""
+        """True if a message of the writer came within ``lost_after_ns``."""
         return self._writer is not None and now_ns - self.last_heard_ns <= lost_after_ns
 
     def offer(self, image: Image, pixels: Any) -> None:
@@ -98,7 +98,7 @@ class FrameSender:
             self._send(end)
 
     def poll(self, now_ns: int) -> list[LaneEvent]:
-        """Handle what the writer sent; resend what was refused for lack of space once its time has come."""
+        """Handle the writer's messages; after a pause send again what it refused for lack of space."""
         events: list[LaneEvent] = []
         for received in arrived(self.socket, MAX_BURST, self._unreadable):
             event = self._take(received, now_ns)
@@ -111,7 +111,7 @@ class FrameSender:
 
     def _unreadable(self, error: ProtocolError) -> None:
         self.counters["malformed"] += 1
-        log_now_and_then(logger, self.counters["malformed"], f"frames lane: {error}")
+        log_throttled(logger, self.counters["malformed"], f"frames lane: {error}")
 
     def _take(self, received: Received, now_ns: int) -> LaneEvent | None:
         message, routing_id = received.message, received.routing_id or b""
@@ -140,7 +140,7 @@ class FrameSender:
         return Sealed(message)
 
     def _accept(self, message: Message, routing_id: bytes) -> bool:
-        """Adopt a writer that is new; turn away one that has been superseded."""
+        """Adopt a new writer; refuse one that was superseded."""
         if message.epoch in self._superseded:
             self.counters["superseded"] += 1
             nack = Nack(reason="superseded", scan_uid=message.scan_uid)
@@ -161,7 +161,7 @@ class FrameSender:
         return True
 
     def _greet(self) -> None:
-        """Announce the scan to a writer that has not taken it on; once for each hello."""
+        """Announce the scan to a writer that has not acknowledged it; once for each hello."""
         writer = self._writer
         if self._start is None or writer is None or writer.acknowledged or writer.announced:
             return

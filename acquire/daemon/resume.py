@@ -1,4 +1,4 @@
-"""Goes on with an interrupted sweep: everything comes from its file, and the rig must prove that it is still there."""
+"""Prepares to resume an interrupted scan: plan and settings come from its file, and the last frame is compared."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from acquire.sweep.settings import OverlapLimits, ResumeFrom
 from .scan_setup import PreparedScan, check_travel, sweep_settings, window_slots
 
 SPECIMEN_LIMIT_UM = 2.5
-"""A specimen that moved further is another one; converted to pixels where the calibration knows their size."""
+"""Displacement of the specimen from which on the scan cannot go on; in pixels where the calibration has a scale."""
 
 
 def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) -> tuple[PreparedScan, CameraSettings]:
-    """What it takes to go on with ``scan``, and the camera settings that it was begun with.
+    """The scan to go on with, and the camera settings that it was begun with.
 
     Raises:
         ScanFileError: no scan, or damaged.
-        CommandRefusedError: sealed already, nothing committed, or a camera or a stage that is set otherwise.
-        AlreadyRunningError: somebody owns the scan.
+        CommandRefusedError: sealed already, nothing committed, or camera or stage are set differently.
+        AlreadyRunningError: another process holds the scan.
     """
     with ScanReader(scan) as reader:
         layout = reader.layout
@@ -55,7 +55,7 @@ def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) 
 
 @contextmanager
 def released_on_failure(lock: FileLock) -> Iterator[None]:
-    """A scan that does not go on is nobody's: else it would be in use by us until we end."""
+    """Release the lock where resuming fails: else the scan would be in use as long as this process lives."""
     try:
         yield
     except BaseException:
@@ -96,7 +96,7 @@ def _resume_from(reader: ScanReader) -> ResumeFrom:
 
 
 def _frame_to_compare(reader: ScanReader) -> int:
-    """The last committed frame that has a neighbour before it: without one a shift of the stage cannot be seen."""
+    """The last committed frame with a neighbour before it, without which a shift of the stage cannot be measured."""
     present = reader.present()[: reader.committed_through() + 1]
     neighboured = np.flatnonzero(present[1:] & present[:-1]) + 1
     alone = np.flatnonzero(present)

@@ -1,4 +1,4 @@
-"""One running scan inside the daemon: carries the sweep's actions out; nothing else touches the devices meanwhile."""
+"""Carries out the actions of one sweep on the devices, which nothing else uses meanwhile."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 
 
 class RunningScan:
-    """Binds a sweep to stage, camera and lanes. One thread calls everything."""
+    """A sweep with its stage, camera and lanes. One thread calls everything."""
 
     def __init__(
         self,
@@ -61,9 +61,9 @@ class RunningScan:
         self._truth = self._rig.write_truth(self.prepared.folder, self.prepared.start.plan)
 
     def handle(self, event: SweepEvent, now_ns: int) -> None:
-        """Let the sweep answer to an event, and do what it says.
+        """Hand an event to the sweep, and carry out its actions.
 
-        A stage that refuses ends the sweep; a camera that does is waited for.
+        A stage that refuses an action ends the sweep; a camera that does is waited for.
         """
         try:
             self._carry_out(self.sweep.handle(event, now_ns))
@@ -79,14 +79,14 @@ class RunningScan:
                 self._try(action)
 
     def _try(self, action: do.Action) -> None:
-        """One step of an ending; the next one is tried also where this one fails."""
+        """Carry out one action of an ending; the next one is tried even if this one fails."""
         try:
             self._do(action)
         except SweepscopeError as error:
             logger.error("%s failed: %s", type(action).__name__, error)
 
     def _stop_what_moves(self) -> None:
-        """The device that refused need not be the stage, and a command without an answer may have been heard."""
+        """Also where the camera refused; and the stage may have received a command that it did not answer."""
         self._try(do.StopStage())
 
     @property
@@ -95,7 +95,7 @@ class RunningScan:
         return self.sweep.phase is Phase.DONE
 
     def close(self) -> None:
-        """Let go of the scan: nobody owns it any more."""
+        """Release the scan and its lock."""
         self._lane.forget()
         if self._truth is not None:
             self._truth.join(timeout=60)
@@ -103,7 +103,7 @@ class RunningScan:
         self.prepared.lock.release()
 
     def _remove_if_empty(self) -> None:
-        """A folder in which no scan file was ever made is no scan."""
+        """Remove the folder if no scan file was ever made in it."""
         folder = self.prepared.folder
         try:
             left = {path.name for path in folder.iterdir()} - NO_SCAN_NAMES

@@ -1,4 +1,4 @@
-"""Turns a request for a scan into its plan and its `start` message; what cannot go well is refused before it moves."""
+"""Turns a request for a scan into a plan and a `start` message; everything that can be checked is checked before."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PreparedScan:
 
 @dataclass(frozen=True)
 class CheckedScan:
-    """A scan that could begin, and what it would need."""
+    """A scan that could begin, and what it would take."""
 
     plan: SweepPlan
     slots: int
@@ -90,10 +90,10 @@ def plan_of(request: ScanRequest, config: LoadedConfig, camera: CameraSettings) 
 
 
 def check_travel(plan: SweepPlan, stage: StageConfig) -> None:
-    """Both ends of the plan can be reached.
+    """Check that the stage reaches both ends of the plan.
 
     Raises:
-        CommandRefusedError: one cannot.
+        CommandRefusedError: it does not.
     """
     low, high = stage.travel_min_steps, stage.travel_max_steps
     for what, position in (("first", plan.first_steps), ("last", plan.last_steps)):
@@ -102,56 +102,48 @@ def check_travel(plan: SweepPlan, stage: StageConfig) -> None:
 
 
 def estimated_duration_s(plan: SweepPlan, config: LoadedConfig) -> float:
-    """How long a sweep takes at best, in s."""
+    """Shortest duration of a sweep, in s."""
     rig = config.rig
     step_ms = 2000 * math.sqrt(plan.steps_per_frame / rig.stage.acceleration_steps_per_s2)
     frame_ms = max(1000 / rig.sweep.max_rate_hz, plan.exposure_ms + plan.settle_ms + step_ms)
     return plan.count * frame_ms / 1000 * rig.simulation.time_scale
 
 
-def prepare_scan(
-    request: ScanRequest,
-    config: LoadedConfig,
-    rig: Rig,
-    frame_format: FrameFormat,
-    camera: CameraSettings,
-    zero_id: str,
-) -> PreparedScan:
-    """Check everything that can be checked beforehand and make the scan's folder.
+def prepare_scan(request: ScanRequest, config: LoadedConfig, rig: Rig) -> PreparedScan:
+    """Check the request and make the folder of the scan.
 
     Raises:
         CommandRefusedError: travel, memory, disk space, or a folder that cannot be made; says what to do.
         CalibrationError: the calibration cannot be used (F21).
     """
-    found = check_scan(request, config, rig, frame_format, camera, zero_id)
+    found = check_scan(request, config, rig)
     folder, lock = _make_folder(config.data_dir, request.name)
-    start = _start_message(request, config, found.plan, frame_format, found.calibration, folder, zero_id)
+    start = _start_message(request, config, rig, found, folder)
     return PreparedScan(start, sweep_settings(config, start), found.slots, folder, lock, found.warnings)
 
 
-def check_scan(
-    request: ScanRequest,
-    config: LoadedConfig,
-    rig: Rig,
-    frame_format: FrameFormat,
-    camera: CameraSettings,
-    zero_id: str,
-) -> CheckedScan:
-    """Check everything that can be checked beforehand; nothing is made.
+def check_scan(request: ScanRequest, config: LoadedConfig, rig: Rig) -> CheckedScan:
+    """Check the request; nothing is made.
 
     Raises:
         CommandRefusedError: travel, memory or disk space; says what to do.
         CalibrationError: the calibration cannot be used (F21).
     """
-    plan = plan_of(request, config, camera)
+    plan, frame_format = plan_of(request, config, rig.camera_settings), rig.camera_info.format
     slots = window_slots(config, frame_format)
-    calibration, warnings = _calibration(config, rig, plan, frame_format, request, zero_id)
-    needed, free = _check_space(config, plan, frame_format)
+    calibration, warnings = _calibration(request, config, rig, plan)
+    needed, free = space_for(config, plan, frame_format)
+    if free < needed:
+        raise CommandRefusedError(
+            f"the scan needs {format_bytes(needed)} and {config.data_dir} has {format_bytes(free)} free "
+            f"({plan.count} frames, {format_duration(estimated_duration_s(plan, config))}): "
+            "make room, or set storage.data_dir to another disk"
+        )
     return CheckedScan(plan, slots, calibration, tuple(warnings), needed, free)
 
 
 def window_slots(config: LoadedConfig, frame_format: FrameFormat) -> int:
-    """Frames that may be uncommitted at a time.
+    """Frames that may be triggered and not yet committed.
 
     Raises:
         CommandRefusedError: not even two fit into the bound.
@@ -166,9 +158,8 @@ def window_slots(config: LoadedConfig, frame_format: FrameFormat) -> int:
     return slots
 
 
-def _calibration(
-    config: LoadedConfig, rig: Rig, plan: SweepPlan, frame_format: FrameFormat, request: ScanRequest, zero_id: str
-) -> tuple[str, list[str]]:
+def _calibration(request: ScanRequest, config: LoadedConfig, rig: Rig, plan: SweepPlan) -> tuple[str, list[str]]:
+    """The calibration's JSON, empty where none is needed, and warnings about it."""
     named = config.rig.reconstruct.calibration
     if named:
         calibration, text = load_calibration(Path(named).expanduser())
@@ -182,30 +173,20 @@ def _calibration(
                 )
             return "", []
         calibration = parse_calibration(text, "the rig's own calibration")
+    frame_format = rig.camera_info.format
     check_size(calibration, frame_format.width, frame_format.height)
-    warnings = check_validity(calibration, plan, zero_id, utc_now_iso())
+    warnings = check_validity(calibration, plan, rig.stage.status().zero_id, utc_now_iso())
     if calibration.light_plane is None and request.purpose == "object":
         raise CalibrationError(f"{named or 'the calibration'} has no light_plane: an object needs one, calibrate it")
     return text, warnings
 
 
 def space_for(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
-    """Bytes that a sweep needs on the disk of the scans, and bytes that are free there."""
+    """Bytes that the scan needs on its disk, and bytes that are free there."""
     place = config.data_dir
     while not place.exists() and place != place.parent:
         place = place.parent
     return (plan.count + len(CHECK_ROLES)) * frame_format.nbytes, shutil.disk_usage(place).free
-
-
-def _check_space(config: LoadedConfig, plan: SweepPlan, frame_format: FrameFormat) -> tuple[int, int]:
-    needed, free = space_for(config, plan, frame_format)
-    if free < needed:
-        raise CommandRefusedError(
-            f"the scan needs {format_bytes(needed)} and {config.data_dir} has {format_bytes(free)} free "
-            f"({plan.count} frames, {format_duration(estimated_duration_s(plan, config))}): "
-            "make room, or set storage.data_dir to another disk"
-        )
-    return needed, free
 
 
 def _make_folder(data_dir: Path, name: str) -> tuple[Path, FileLock]:
@@ -221,20 +202,13 @@ def _make_folder(data_dir: Path, name: str) -> tuple[Path, FileLock]:
     except OSError as error:
         raise CommandRefusedError(
             f"cannot make a folder in {data_dir}: {error.strerror}; nothing has moved; "
-            "mend its permissions or set storage.data_dir"
+            "correct its permissions or set storage.data_dir"
         ) from None
     return folder.resolve(), FileLock(folder / OWNER_LOCK_NAME, "a scan in this folder")
 
 
-def _start_message(
-    request: ScanRequest,
-    config: LoadedConfig,
-    plan: SweepPlan,
-    frame_format: FrameFormat,
-    calibration: str,
-    folder: Path,
-    zero_id: str,
-) -> Start:
+def _start_message(request: ScanRequest, config: LoadedConfig, rig: Rig, found: CheckedScan, folder: Path) -> Start:
+    zero_id = rig.stage.status().zero_id
     user = {
         "name": request.name,
         "specimen": request.specimen,
@@ -246,10 +220,10 @@ def _start_message(
     return Start(
         scan_uid=uuid.uuid4().hex,
         path=str(folder),
-        format=frame_format,
-        plan=plan,
+        format=rig.camera_info.format,
+        plan=found.plan,
         config_toml=config.toml(),
-        calibration_json=calibration,
+        calibration_json=found.calibration,
         user_json=json.dumps(user),
         start_time_utc=utc_now_iso(),
         epoch_utc_ns=epoch_utc_ns(),
@@ -258,7 +232,7 @@ def _start_message(
 
 
 def sweep_settings(config: LoadedConfig, start: Start) -> SweepSettings:
-    """What the sweep of ``start`` needs to know, from the configuration of today."""
+    """Settings of the sweep of ``start`` from the present configuration."""
     rig, plan = config.rig, start.plan
     travel_ms = 1000 * abs(rig.stage.travel_max_steps - rig.stage.travel_min_steps) / rig.stage.max_rate_steps_per_s
     period_ms = 1000 / rig.sweep.max_rate_hz

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import zmq
 
 from acquire.activities.preview_publisher import PreviewPublisher
@@ -26,7 +27,7 @@ from acquire.contract.process.log_throttle import Threshold
 from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import State
-from acquire.contract.units import NS_PER_S
+from acquire.contract.units import NS_PER_S, steps_to_um
 from acquire.rigs.base import DeviceEvent, Rig
 from acquire.rigs.build import build_rig
 from acquire.rigs.status_board import StatusBoard
@@ -43,7 +44,6 @@ from .event_queue import EventQueue
 from .frame_sender import FrameSender
 from .lamp_timer import LampTimer
 from .scan_supervisor import ScanSupervisor
-from .status import status_message
 
 logger = logging.getLogger(__name__)
 POLL_MS = 10
@@ -210,23 +210,29 @@ class Daemon:
 
     def current_status(self, now_ns: int) -> Status:
         """The rig as it is now."""
-        rig, stage, lost_ns = self.rig, self.rig.stage.status(), self.config.rig.limits.writer_lost_s * NS_PER_S
-        counters = self._frames.counters | self.preview.counters | self.runner.counters | self.scans.counters
-        return status_message(
-            self.config.rig.stage,
-            stage,
-            rig.stage_info,
-            rig.camera_info,
-            rig.camera_settings,
-            self.runner.status(),
-            self.scans.status(now_ns),
+        rig, stage, config = self.rig, self.rig.stage.status(), self.config.rig
+        return Status(
             state=self.scans.state,
+            position_steps=stage.position_steps,
+            position_um=steps_to_um(stage.position_steps, config.stage.um_per_microstep),
+            position_trusted=stage.position_trusted,
+            zero_id=stage.zero_id,
+            travel_steps=(config.stage.travel_min_steps, config.stage.travel_max_steps),
+            stage_kind=rig.stage_info.kind,
+            stage_version=rig.stage_info.version[:128],
+            camera_kind=rig.camera_info.kind,
+            camera=msgspec.structs.asdict(rig.camera_settings),
+            camera_limits=rig.camera_info.limits,
+            format=rig.camera_info.format,
+            lamp_on=stage.lamp_on,
+            lamp_warm_s=self._lamp.update(now_ns, on=stage.lamp_on),
+            writer_alive=self._frames.alive(now_ns, round(config.limits.writer_lost_s * NS_PER_S)),
+            counters=self._frames.counters | self.preview.counters | self.runner.counters | self.scans.counters,
             faults=self.board.faults,
             message=self.board.message,
-            counters=counters,
             control=self._control.holder(now_ns),
-            lamp_warm_s=self._lamp.update(now_ns, on=stage.lamp_on),
-            writer_alive=self._frames.alive(now_ns, round(lost_ns)),
+            **msgspec.structs.asdict(self.runner.status()),
+            **msgspec.structs.asdict(self.scans.status(now_ns)),
         )
 
     def _publish_last(self) -> None:

@@ -22,7 +22,7 @@ from acquire.contract.config.model import NetworkConfig
 from acquire.contract.errors import CommandRefusedError, ConfigError
 from acquire.contract.messaging.lanes import MAX_COMMAND_BYTES, connect, open_socket
 from acquire.contract.messaging.messages import Command
-from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.log_throttle import log_throttled
 from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 
@@ -57,7 +57,7 @@ class Guard:
             return True
         self.refused += 1
         who = found[0] if found else "an unknown key"
-        log_now_and_then(logger, self.refused, f"refused: {who} may not {domain}")
+        log_throttled(logger, self.refused, f"refused: {who} may not {domain}")
         return False
 
 

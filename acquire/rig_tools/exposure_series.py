@@ -1,4 +1,4 @@
-"""Takes pictures of whatever lies there at several exposures, for finding out how the camera answers to light."""
+"""Takes pictures of the present scene at several exposures, to measure the camera's response to light."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import SweepscopeError
 
 SETTLE_FRAMES = 2
-"""Pictures after a change of the exposure that are thrown away: some cameras apply it late."""
+"""Pictures that are discarded after a change of the exposure: some cameras apply it late."""
 
 
 class Exposure(msgspec.Struct, frozen=True):
@@ -33,7 +33,7 @@ def take_exposures(camera: Camera, config: RigConfig, exposures_ms: Sequence[flo
     Args:
         camera: not open; no other program may hold it.
         config: gain, brightness and time-out are taken from ``[camera]``.
-        exposures_ms: wished for; the camera may round or limit them.
+        exposures_ms: wanted; the camera may round or limit them.
 
     Raises:
         SweepscopeError: no picture came in time.

@@ -1,4 +1,4 @@
-"""Measures how long the picture needs to come to rest after a step, and proposes settle_ms."""
+"""Measures how long the picture needs to settle after a step, and proposes settle_ms."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from acquire.stages.protocol import Alarm, Moved, Segment, SegmentDone, StageEve
 
 DELAYS_MS = (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0)
 REST_MS = 500.0
-"""A picture taken so long after a step is at rest."""
+"""A picture that was taken so long after a step has settled."""
 REPEATS = 3
 TOLERANCE = 1.1
-"""A difference up to so many times the one between two pictures at rest is noise."""
+"""A difference up to so many times the one between two settled pictures is noise."""
 _WAIT_S = 30.0
 _LOOK_S = 0.05
 
@@ -32,11 +32,11 @@ class SettleReport(msgspec.Struct, frozen=True):
 
     delays_ms: tuple[float, ...]
     differences: tuple[float, ...]
-    """Mean absolute difference from the picture at rest, in counts; the worst of the repeats."""
+    """Mean absolute difference from a settled picture, in counts; the largest of the repeats."""
     noise: float
-    """The same between two pictures at rest."""
+    """The same between two settled pictures."""
     settle_ms: float | None
-    """Proposal; None where the picture did not come to rest within the longest delay."""
+    """Proposal; None where the picture did not settle within the longest delay."""
 
 
 def propose_settle_ms(delays_ms: Sequence[float], differences: Sequence[float], noise: float) -> float | None:
@@ -50,7 +50,7 @@ def propose_settle_ms(delays_ms: Sequence[float], differences: Sequence[float], 
 
 
 class SettleMeasurement:
-    """Steps to one place again and again and looks at it sooner or later. The position must be trusted."""
+    """Steps to one position again and again and takes pictures after different delays."""
 
     def __init__(self, rig: Rig, config: RigConfig, position_steps: int) -> None:
         self._rig, self._config, self._position = rig, config, position_steps

@@ -53,11 +53,11 @@ class Rig:
         return self.camera_settings
 
     def own_calibration(self, plan: SweepPlan) -> str:
-        """The calibration that the rig knows by itself (JSON); empty for a real one."""
+        """The exact calibration of a simulated rig (JSON); empty for a real one."""
         return ""
 
     def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread | None:
-        """Write what is really there beside the scan, in a thread; None for a real rig."""
+        """Write the ground truth beside the scan, in a thread; None for a real rig."""
         return None
 
     def set_lamp(self, *, on: bool) -> None:
@@ -73,7 +73,7 @@ class Rig:
         raise CommandRefusedError("only the simulated rig can change its specimen: lay it on the stage by hand")
 
     def show_specimen(self, simulation: SimulationConfig) -> str:
-        """Compute the scene and show it from now on; returns what lies there, in words. Called in a thread."""
+        """Compute the scene and show it from now on; returns a description. Called in a thread."""
         raise NotImplementedError
 
 

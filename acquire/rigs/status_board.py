@@ -1,4 +1,4 @@
-"""What the operator is shown of the rig besides numbers: its state, its faults, and the last thing that happened."""
+"""The state of the rig, its faults, and the last message, as shown to the operator."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class StatusBoard:
             self.changed = True
 
     def close(self) -> None:
-        """The devices are gone, whatever the rig was doing."""
+        """The devices are disconnected, in whatever state the rig was."""
         self.state = State.DISCONNECTED
         self.changed = True
 

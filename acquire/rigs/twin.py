@@ -1,7 +1,7 @@
 """The digital twin: the real firmware and the real serial driver under the simulated optics.
 
-The camera exposes at real edges of the emulated TRIGGER pin and sees the stage where the STEP edges have truly brought
-it; the lamp is the emulated LAMP pin. ``twin.jsonl`` beside the scan is the pins' own record of every trigger.
+The camera exposes at edges of the emulated TRIGGER pin and sees the stage where the STEP edges have moved it;
+the lamp is the emulated LAMP pin. ``twin.jsonl`` beside the scan records every trigger at the pins.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ _LAMP_S = 2.0
 
 
 class PairedEdges:
-    """Joins what the firmware reports with what the pins did; each shot goes on when both are there.
+    """Joins each trigger report of the firmware with the edge at the pin; then the camera exposes.
 
-    The camera must never be heard before the trigger that it answers to: the wire brings the report a little later than
-    the edge.
+    The frame must never reach the daemon before the report of its trigger, which the serial line delivers a little
+    later than the edge.
     """
 
     def __init__(self, expose: Callable[[float, int, float, int], None], zero_at: int, um_per_microstep: float) -> None:
-        """``expose`` takes the true place at mid-exposure (microsteps), the time (ns), the way during exposure, and the
-        time by the controller's clock (ns), which the simulated camera calls its own.
+        """``expose`` takes the true position at mid-exposure (microsteps), the time (ns), the travel during the
+        exposure (microsteps), and the time by the controller's clock (ns), which the simulated camera uses as its own.
         """
         self._expose, self._zero_at, self._um = expose, zero_at, um_per_microstep
         self._lock = threading.Lock()
@@ -71,19 +71,19 @@ class PairedEdges:
                 logger.error("no record of the pins: %s", error)  # noqa: TRY400
 
     def edge(self, edge: TriggerEdge, *, delivered: bool) -> None:
-        """TRIGGER rose; ``delivered`` is False where a fault let it get lost on its way to the camera."""
+        """TRIGGER rose; ``delivered`` is False where an injected fault loses it on its way to the camera."""
         with self._lock:
             self._edges.append((edge, delivered))
             self._pair()
 
     def reported(self, event: Triggered) -> None:
-        """The firmware says that it fired."""
+        """The firmware reports a trigger."""
         with self._lock:
             self._reported.append(event)
             self._pair()
 
     def forget(self) -> None:
-        """The firmware has restarted: its last reports will never come."""
+        """The firmware has restarted: reports that are missing will never come."""
         with self._lock:
             self._edges.clear()
             self._reported.clear()
@@ -108,7 +108,7 @@ class PairedEdges:
                 self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way), event.fired_ns)
 
     def _note(self, record: IO[str], line: str) -> None:
-        """A disk that is full ends the record, not the line to the controller, in whose thread this runs."""
+        """A full disk ends the record, not the serial session, in whose thread this runs."""
         try:
             record.write(line)
         except OSError as error:
@@ -119,7 +119,7 @@ class PairedEdges:
 
 
 class TwinStage(UnoStage):
-    """The driver on an emulator of its own."""
+    """The serial driver on its own emulator."""
 
     def __init__(self, config: StageConfig, pace: float, camera: SimulatedCamera) -> None:
         self._emulator = Emulator(*build_firmware(), pace=pace, limit_at=_LIMIT_AT)
@@ -131,7 +131,7 @@ class TwinStage(UnoStage):
         self._lamp_moved = threading.Condition()
 
     def open(self, sink: StageSink) -> StageInfo:
-        """Join the pins to the camera, then connect."""
+        """Connect the pins to the camera, then open the driver."""
 
         def tell(event: StageEvent) -> None:
             sink(event)
@@ -154,7 +154,7 @@ class TwinStage(UnoStage):
             self._lamp_moved.notify_all()
 
     def set_lamp(self, *, on: bool) -> None:
-        """Switch the lamp and wait until its pin has followed: the next picture is taken by its light."""
+        """Switch the lamp and wait until its pin has followed, so that the next picture is taken in its light."""
         super().set_lamp(on=on)
         with self._lamp_moved:
             if not self._lamp_moved.wait_for(lambda: self._camera.lamp_on == on, timeout=_LAMP_S):
@@ -178,6 +178,6 @@ class TwinRig(RenderedRig):
         super().__init__(config, lambda camera: TwinStage(config.stage, pace, camera))
 
     def write_truth(self, folder: Path, plan: SweepPlan) -> threading.Thread:
-        """The truth, and from now on the record of the pins."""
+        """Write the ground truth, and record the pins from now on."""
         self.stage.pairs.record_to(folder / PINS_NAME)
         return super().write_truth(folder, plan)

@@ -67,7 +67,7 @@ def sealed(sweep: SweepState, event: Sealed, now_ns: int) -> list[Action]:
         return []
     sweep.outcome, sweep.reason = Outcome.INTERRUPTED, end_ack.reason
     fault = sweep.fault("F07", detail=end_ack.reason)
-    return [RaiseFault(msgspec.structs.replace(fault, to_do="mend the disk, then resume the scan"))]
+    return [RaiseFault(msgspec.structs.replace(fault, to_do="repair the disk, then resume the scan"))]
 
 
 def writer_is_late(sweep: SweepState, now_ns: int) -> list[Action]:

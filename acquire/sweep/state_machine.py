@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from acquire.cameras.protocol import CameraFrame, CameraGone
-from acquire.contract.process.log_throttle import is_worth_saying
+from acquire.contract.process.log_throttle import is_power_of_ten
 from acquire.contract.states import Outcome
 from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Triggered
 
@@ -92,7 +92,7 @@ def _on_frame(sweep: Sweep, event: CameraFrame, now_ns: int) -> list[Action]:
 def _take_frame(sweep: Sweep, frame: CameraFrame, now_ns: int, *, was_early: bool = False) -> list[Action]:
     arrival = sweep.intake.pair(frame, was_early=was_early)
     actions = [action for loss in arrival.losses for action in _retake(sweep, loss, now_ns)]
-    if arrival.extra and is_worth_saying(sweep.intake.counters["extra"]):
+    if arrival.extra and is_power_of_ten(sweep.intake.counters["extra"]):
         actions.append(RaiseFault(sweep.fault("F17", count=sweep.intake.counters["extra"])))
     if arrival.shot is None:
         return actions

@@ -14,7 +14,7 @@ from typing import Any, Literal
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import AlreadyRunningError, ConfigError, ScanFileError
 from acquire.contract.messaging.messages import Ack, AckItem, End, EndAck, Image, Message, Nack, Start, StartAck
-from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.log_throttle import log_throttled
 from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME, SEALED_NAME
 from acquire.contract.states import Outcome
@@ -154,7 +154,7 @@ class WriterSession:
     def _refuse(self, image: Image, reason: Refusal, detail: str) -> None:
         self.counters["refused"] += 1
         text = f"frame {image.frame_index} refused ({reason}): {detail}"
-        log_now_and_then(logger, self.counters["refused"], text)
+        log_throttled(logger, self.counters["refused"], text)
         self.flush()
         self._send(
             Nack(

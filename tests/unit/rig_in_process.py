@@ -6,18 +6,20 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Self
+from unittest.mock import MagicMock
 
 import zmq
 
-from acquire.cameras.protocol import CameraFrame, CameraSettings
+from acquire.cameras.protocol import CameraFrame, CameraInfo, CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.config.model import RigConfig
 from acquire.contract.messaging.lanes import connect, receive
-from acquire.contract.messaging.messages import Picture
+from acquire.contract.messaging.messages import FrameFormat, Picture
 from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import DeviceEvent, Rig
 from acquire.rigs.build import build_rig
+from acquire.stages.protocol import StageStatus
 from tests.waiting import DEADLINE_S, WALL_CLOCK_S, wait_for
 from tui.client.rig_client import RigClient
 
@@ -54,6 +56,15 @@ class AdjustableClock:
     def thaw(self) -> None:
         """Go on, as if it had not stood still."""
         self._frozen_ns = None
+
+
+def known_rig(frame_format: FrameFormat, exposure_ms: float) -> Rig:
+    """A rig without devices that knows what an open one does, but no calibration of its own."""
+    rig = Rig(MagicMock(), MagicMock())
+    rig.stage.status.return_value = StageStatus(0, True, "zero", False, 0)
+    rig.camera_info = CameraInfo(kind="x", format=frame_format)
+    rig.camera_settings = CameraSettings(exposure_ms, 0, 0)
+    return rig
 
 
 class RigInProcess:

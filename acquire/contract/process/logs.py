@@ -1,4 +1,4 @@
-"""Owns how services log: fields with the scan's uid to journald where it listens, else one line each on stderr."""
+"""Logging of the services: records with the scan's uid to journald, without journald one line each on stderr."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _now = {"scan_uid": ""}
 
 
 def follow_scan(scan_uid: str) -> None:
-    """Everything that this process logs from now on belongs to this scan."""
+    """Log this scan's uid with every record from now on."""
     _now["scan_uid"] = scan_uid
 
 
@@ -44,7 +44,7 @@ def _add_scan(record: logging.LogRecord) -> bool:
 
 
 def is_journal(stream: IO[str], environ: Mapping[str, str] = os.environ) -> bool:
-    """True if the stream is the one that systemd announced (and was not sent elsewhere since)."""
+    """True if the stream is the one that systemd connected to the journal (and was not redirected since)."""
     try:
         found = os.fstat(stream.fileno())
     except (OSError, ValueError, AttributeError):
@@ -62,7 +62,7 @@ class JournalHandler(logging.Handler):
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send; what the journal does not take goes to stderr."""
+        """Send a record; to stderr where the journal does not take it."""
         fields = {
             "MESSAGE": self.format(record),
             "PRIORITY": str(next((level for least, level in _PRIORITIES if record.levelno >= least), 7)),

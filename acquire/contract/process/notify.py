@@ -1,4 +1,4 @@
-"""Owns what a service tells systemd: ready when it really is, alive while its main loop turns; silent elsewhere."""
+"""sd_notify: readiness and watchdog messages to systemd; without systemd nothing is sent."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
 _BEATS_PER_LIMIT = 4
-"""Signs of life within one watchdog period: three may be late before the service counts as stuck."""
+"""Watchdog messages in one watchdog period: three may be late before systemd restarts the service."""
 
 
 class Notifier:
-    """Speaks sd_notify(3)'s protocol to ``$NOTIFY_SOCKET``; without one every call does nothing.
+    """Sends sd_notify(3) messages to ``$NOTIFY_SOCKET``; without one every call does nothing.
 
-    Call :meth:`alive` from the main loop itself, after its work: a thread of its own would vouch for a stuck loop.
+    Call :meth:`alive` from the main loop itself, after its work: a thread of its own would hide a loop that hangs.
     """
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
@@ -26,15 +26,15 @@ class Notifier:
         self._due_ns = 0
 
     def ready(self, status: str) -> None:
-        """The service does its work from now on."""
+        """The service is ready."""
         self._send(f"READY=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """The service brings its work to an end."""
+        """The service is ending."""
         self._send("STOPPING=1")
 
     def alive(self) -> None:
-        """One turn of the main loop is done; sent to the watchdog four times per limit, not oftener."""
+        """One turn of the main loop is done; the watchdog is told at most four times per period."""
         if not self._period_ns:
             return
         now_ns = mono_ns()
@@ -50,11 +50,11 @@ class Notifier:
                 out.setblocking(False)
                 out.sendto(text.encode(), self._address)
             except OSError:
-                return  # nobody listens, or too busy to: a sign of life is never worth a frame
+                return  # systemd does not read: waiting for it could cost a frame
 
 
 def _watchdog_ns(environ: Mapping[str, str]) -> int:
-    """The watchdog's limit in ns if it is meant for this process, else 0."""
+    """The watchdog period in ns if it is set for this process, else 0."""
     text, pid = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", "")
     if not text.isdigit() or (pid and pid != str(os.getpid())):
         return 0

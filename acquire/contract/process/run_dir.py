@@ -1,4 +1,4 @@
-"""Where sockets, locks and scans live, and who holds a lock; a clear error when a place cannot be used."""
+"""The run directory: sockets and locks of the services."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class FileLock:
         """Take the lock at ``path`` at once or raise.
 
         Raises:
-            AlreadyRunningError: somebody else holds it; the pid is in the text.
+            AlreadyRunningError: another process holds it; the text names its pid.
             ConfigError: the file cannot be created.
         """
         self.path = path
@@ -112,7 +112,7 @@ class FileLock:
         return self._file.read(32).strip() or "unknown"
 
     def release(self) -> None:
-        """Give the lock back; the file stays, so that nobody can lock a file that is being removed."""
+        """Release the lock; the file stays, so that no process can lock a file that is being removed."""
         self._file.close()
 
 

@@ -1,1 +1,1 @@
-"""Commands of the daemon: their requests, who may give them, and their handlers."""
+"""The commands of the daemon: their table, their handlers, and the server of the command lane."""

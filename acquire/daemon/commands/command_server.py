@@ -15,7 +15,7 @@ from acquire.contract.messaging.lanes import Received, Sender, arrived
 from acquire.contract.messaging.messages import Command, Reply
 from acquire.contract.permissions import never_late
 from acquire.contract.process.clocks import Clock
-from acquire.contract.process.log_throttle import log_now_and_then
+from acquire.contract.process.log_throttle import log_throttled
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 
 logger = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class CommandServer:
 
     def _unreadable(self, error: ProtocolError) -> None:
         self.malformed += 1
-        log_now_and_then(logger, self.malformed, f"command lane: {error}")
+        log_throttled(logger, self.malformed, f"command lane: {error}")
 
     def _answer(self, received: Received) -> None:
         command = received.message

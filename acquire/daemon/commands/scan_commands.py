@@ -25,9 +25,7 @@ class ScanCommands:
         """Begin a scan."""
         self._need_camera("start a scan")
         self._check_mode(request.mode or self._config.rig.sweep.mode)
-        rig, zero_id = self._rig, self._rig.stage.status().zero_id
-        prepared = prepare_scan(request, self._config, rig, rig.camera_info.format, rig.camera_settings, zero_id)
-        return self._begin(prepared, call)
+        return self._begin(prepare_scan(request, self._config, self._rig), call)
 
     def resume_scan(self, request: ResumeScanRequest, call: Call) -> Result:
         """Go on with an interrupted scan."""
@@ -63,11 +61,10 @@ class ScanCommands:
 
     def estimate(self, request: ScanRequest, _call: Call) -> Result:
         """What a scan would take, or why it would be refused; nothing is made, nothing moves."""
-        rig, stage = self._rig, self._rig.stage.status()
         self._check_mode(request.mode or self._config.rig.sweep.mode)
-        found = check_scan(request, self._config, rig, rig.camera_info.format, rig.camera_settings, stage.zero_id)
+        found = check_scan(request, self._config, self._rig)
         warnings = list(found.warnings)
-        if not stage.position_trusted:
+        if not self._rig.stage.status().position_trusted:
             warnings.append("the stage's position is not trusted: home it first")
         return {
             "expected": found.plan.count,

@@ -59,16 +59,15 @@ def test_arguments_that_do_not_fit_are_refused_by_name(name, args):
 @pytest.fixture
 def prepare(tmp_path):
     """Prepare a scan on a rig that knows no calibration of its own."""
-    from acquire.cameras.protocol import CameraSettings
     from acquire.contract.config.load import load_config
     from acquire.contract.messaging.messages import FrameFormat
     from acquire.daemon.scan_setup import prepare_scan
-    from acquire.rigs.base import Rig
+    from tests.unit.rig_in_process import known_rig
 
     def call(request=ScanRequest(), **overrides):  # noqa: B008 - a frozen struct
         config = load_config(overrides={"storage.data_dir": str(tmp_path)} | overrides, environ={})
         frame_format = FrameFormat(width=64, height=48, bit_depth=8)
-        return prepare_scan(request, config, Rig(None, None), frame_format, CameraSettings(10, 0, 0), "zero")
+        return prepare_scan(request, config, known_rig(frame_format, exposure_ms=10))
 
     return call
 

@@ -7,13 +7,12 @@ from collections import namedtuple
 
 import pytest
 
-from acquire.cameras.protocol import CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.daemon.requests import ScanRequest
 from acquire.daemon.scan_setup import CheckedScan, check_scan
-from acquire.rigs.base import Rig
+from tests.unit.rig_in_process import known_rig
 
 Usage = namedtuple("Usage", "total used free")
 FORMAT = FrameFormat(width=1024, height=768, bit_depth=8, pixel_format="rgb")
@@ -25,7 +24,7 @@ def check(tmp_path, monkeypatch, free: int) -> CheckedScan:
     monkeypatch.setattr(shutil, "disk_usage", lambda _place: Usage(2**40, 0, free))
     config = load_config(environ={"SWEEPSCOPE_STORAGE__DATA_DIR": str(tmp_path / "not" / "yet")})
     raw = ScanRequest(purpose="raw")
-    return check_scan(raw, config, Rig(None, None), FORMAT, CameraSettings(30, 0, 0), "zero")
+    return check_scan(raw, config, known_rig(FORMAT, exposure_ms=30))
 
 
 def test_a_scan_that_does_not_fit_is_refused_with_needed_free_place_duration_and_way_out(tmp_path, monkeypatch):
