@@ -1,1 +1,1 @@
-"""Cameras behind one protocol: the simulated camera and the real ones."""
+"""Camera drivers behind one protocol (`protocol.py`): simulated, GenICam, webcam, replay."""

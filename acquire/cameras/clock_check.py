@@ -1,4 +1,4 @@
-"""Whether a camera's own clock can be believed: some count in another unit than they say, or not at all."""
+"""Checks a camera's time stamps against the host's clock: some cameras count in another unit, or not at all."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ _SHARE, _JITTER_NS = 0.1, 50_000_000
 
 
 @dataclass
-class OwnClock:
-    """Compares the clock with the host's until both agree once, and believes it from then on."""
+class CameraClock:
+    """Trusts the camera's clock once it has agreed with the host's over an interval."""
 
     _first: tuple[int, int] | None = None
     _agreed: bool = False
 
     def believed(self, camera_ns: int, now_ns: int) -> int:
-        """``camera_ns`` of a frame that came at ``now_ns`` (host's clock) if the clock is believed, else 0: unknown."""
+        """``camera_ns`` of a frame that came at ``now_ns`` (host's clock) if the clock is trusted, else 0 (unknown)."""
         if camera_ns <= 0:
             return 0
         if not self._agreed:

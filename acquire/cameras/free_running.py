@@ -1,7 +1,7 @@
-"""A camera without a trigger input: it runs freely, and the host picks the first frame that began after a shot.
+"""Cameras without a trigger input: they run freely, and the host picks the first frame that began after a shot.
 
-Nothing is counted by hardware here, and the driver says so: a frame is proven by time alone, which is why the stage
-must stand still (step mode).
+No hardware counts frames, and `CameraInfo` says so. A frame is matched by time alone, so the stage must stand still
+(step mode).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_MS
 
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraSettings, CameraSink
-from .reader_thread import Reading
+from .reader_thread import ReaderThread
 
 logger = logging.getLogger(__name__)
 _MOST_WAITING = 64
@@ -27,7 +27,7 @@ _MOST_WAITING = 64
 
 
 class FrameSource(Protocol):
-    """Something that delivers one picture after the other."""
+    """A source of consecutive pictures."""
 
     kind: str
 
@@ -35,7 +35,7 @@ class FrameSource(Protocol):
         """Connect and start.
 
         Raises:
-            SweepscopeError: it is not there, or delivers what cannot be stored.
+            SweepscopeError: it is not found, or its format cannot be stored.
         """
         ...
 
@@ -44,7 +44,7 @@ class FrameSource(Protocol):
         ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; returns what is really used."""
+        """Apply settings; returns those in effect."""
         ...
 
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -55,27 +55,27 @@ class FrameSource(Protocol):
         """The next picture ([h, w] or [h, w, 3] RGB, the caller's own), waiting for it.
 
         Raises:
-            SweepscopeError: no picture comes any more.
+            SweepscopeError: no picture arrives.
         """
         ...
 
 
 class FreeRunningCamera:
-    """Reads a source in a thread of its own, so that no old picture waits in a buffer."""
+    """Reads a source in a thread, so that no old picture waits in a buffer."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
         self._sink: CameraSink = lambda _event: None
         self._waiting: deque[int] = deque(maxlen=_MOST_WAITING)
         self._lock = threading.Lock()
-        self._reading = Reading(f"{source.kind}-camera", self._serve)
+        self._reading = ReaderThread(f"{source.kind}-camera", self._serve)
         self._armed = False
         self._frame_id = 0
         self._exposure_ns = 0
         self._settings: CameraSettings | None = None
 
     def open(self, sink: CameraSink) -> CameraInfo:
-        """Connect the source and read on."""
+        """Connect the source and start reading."""
         self._sink = sink
         frame_format = self._source.open()
         limits = self._source.limits()
@@ -96,19 +96,19 @@ class FreeRunningCamera:
         return used
 
     def arm(self) -> None:
-        """Deliver a frame for each shot from now on; what was asked for before is forgotten."""
+        """Deliver one frame per shot from now on; earlier requests are dropped."""
         with self._lock:
             self._waiting.clear()
             self._armed = True
 
     def disarm(self) -> None:
-        """Deliver nothing any more."""
+        """Stop delivering."""
         with self._lock:
             self._waiting.clear()
             self._armed = False
 
     def snap(self) -> None:
-        """One frame that begins from now on."""
+        """Deliver one frame that begins from now on."""
         self._want(mono_ns())
 
     def fire(self, at_ns: int, position_steps: int) -> None:
@@ -128,7 +128,7 @@ class FreeRunningCamera:
             except SweepscopeError as error:
                 logger.error("the camera delivers nothing any more: %s", error)
                 with self._lock:
-                    # what they asked for is asked for anew
+                    # the sweep requests the dropped shots again
                     self._waiting.clear()
                 self._sink(CameraGone(str(error)))
                 if self._reading.until_back(self._open_again, (SweepscopeError,)):
@@ -145,7 +145,7 @@ class FreeRunningCamera:
             self._source.configure(self._settings)
 
     def _deliver(self, pixels: NDArray[Any], began_after_ns: int) -> None:
-        """A picture that came after the one before may have begun to expose one exposure before that one's arrival."""
+        """A picture may have begun to expose as early as one exposure before the previous picture arrived."""
         surely_from_ns = began_after_ns - self._exposure_ns
         with self._lock:
             if not self._waiting or self._waiting[0] > surely_from_ns:

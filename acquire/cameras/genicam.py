@@ -1,4 +1,4 @@
-"""A GenICam camera (GigE Vision, USB3 Vision) through its maker's GenTL producer: triggered by the wire, ids counted.
+"""A GenICam camera (GigE Vision, USB3 Vision) through its maker's GenTL producer: hardware trigger, frame ids.
 
 Feature names are those of the Standard Features Naming Convention (SFNC); a camera that lacks one keeps its own value,
 and one without a trigger input can only run freely (``camera.trigger = "host"``).
@@ -27,9 +27,9 @@ from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
-from .clock_check import OwnClock
+from .clock_check import CameraClock
 from .protocol import CameraFrame, CameraGone, CameraInfo, CameraLostError, CameraSettings, CameraSink
-from .reader_thread import Reading
+from .reader_thread import ReaderThread
 
 logger = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ _US_PER_MS = 1000.0
 
 
 class GenicamDevice:
-    """One camera behind a producer: features and buffers. Also a source of pictures for a camera that runs freely."""
+    """One camera behind a GenTL producer: features and buffers. Also the picture source of a freely running camera."""
 
     kind = "genicam"
 
@@ -73,13 +73,13 @@ class GenicamDevice:
         self._harvester: Harvester | None = None
         self._acquirer: Any = None
         self._own_id = 0
-        self._clock = OwnClock()
+        self._clock = CameraClock()
         self._lock = threading.RLock()
         """Held while the camera is opened or closed, and while a feature is used."""
         self.format = FrameFormat(config.width, config.height, 8)
         self.counts_frames = True
 
-    # ---- life ----
+    # ---- connect and close ----
 
     def open(self, trigger: str = "") -> FrameFormat:
         """Connect, set size and trigger input, start the stream.
@@ -92,8 +92,8 @@ class GenicamDevice:
             CameraLostError: the camera or its producer does not answer.
         """
         producers = _producers(self._config.producer)
-        with self._lock, _told_as_lost():
-            self._clock = OwnClock()
+        with self._lock, _as_camera_lost():
+            self._clock = CameraClock()
             self._harvester = harvester = Harvester()
             try:
                 for producer in producers:
@@ -153,7 +153,7 @@ class GenicamDevice:
         return FrameFormat(width, height, bit_depth, pixel_format)  # type: ignore[arg-type]
 
     def close(self) -> None:
-        """Stop the stream and let go of the camera; idempotent, never raises."""
+        """Stop the stream and release the camera; idempotent, never raises."""
         with self._lock:
             acquirer, self._acquirer = self._acquirer, None
             harvester, self._harvester = self._harvester, None
@@ -168,13 +168,13 @@ class GenicamDevice:
 
     @contextmanager
     def _answering(self) -> Iterator[None]:
-        """What the camera does not do is told as :class:`CameraLostError`; nobody waits while it is looked for."""
+        """Turns errors of the libraries into :class:`CameraLostError`; refuses at once while the camera is away."""
         if not self._lock.acquire(timeout=_BUSY_S):
             raise CameraLostError("the camera is away and being looked for")
         try:
             if self._acquirer is None:
                 raise CameraLostError("the camera is away")
-            with _told_as_lost():
+            with _as_camera_lost():
                 yield
         finally:
             self._lock.release()
@@ -188,7 +188,7 @@ class GenicamDevice:
         return None if node is None else node.value
 
     def _set(self, name: str, value: Any) -> bool:
-        """Set a feature; False if the camera does not have it or does not take the value."""
+        """Set a feature; False if the camera lacks it or refuses the value."""
         node = self._node(name)
         if node is None:
             return False
@@ -200,7 +200,7 @@ class GenicamDevice:
             return False
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """ExposureTime (us), Gain (dB) and BlackLevel, within the camera's limits; what it took is read back.
+        """ExposureTime (us), Gain (dB) and BlackLevel, within the camera's limits; returns the values read back.
 
         Raises:
             CameraLostError: it does not answer.
@@ -248,7 +248,7 @@ class GenicamDevice:
         """One exposure now, then back to ``line``.
 
         Raises:
-            CameraLostError: it does not answer, or does not listen to its TRIGGER wire again.
+            CameraLostError: it does not answer, or its trigger input cannot be selected again.
         """
         with self._answering():
             self._set("TriggerSource", "Software")
@@ -258,8 +258,8 @@ class GenicamDevice:
             if not self._set("TriggerSource", line):
                 raise CameraLostError(f"the camera did not go back to its trigger input {line}")
 
-    def ask_for_a_sign(self) -> None:
-        """Reach the camera itself, behind whatever its libraries remember of it.
+    def check_alive(self) -> None:
+        """Read a register of the camera itself, because the library may answer from its cache.
 
         Raises:
             CameraLostError: it does not answer.
@@ -276,20 +276,20 @@ class GenicamDevice:
     # ---- pictures ----
 
     def fetch(self, timeout_s: float) -> CameraFrame | None:
-        """The next complete picture with its id, or None in ``timeout_s``; harvesters passes over incomplete ones.
+        """The next complete picture with its id, or None after ``timeout_s``; harvesters skips incomplete ones.
 
         Raises:
             CameraLostError: the camera or its producer does not answer.
         """
-        # without the lock: a command need not wait for a picture
-        with _told_as_lost():
+        # not under the lock: a command must not wait for a picture
+        with _as_camera_lost():
             buffer = self._acquirer.try_fetch(timeout=timeout_s)
             return None if buffer is None else self._taken(buffer)
 
     def _taken(self, buffer: Any) -> CameraFrame:
         try:
             pixels = self._pixels(buffer.payload.components[0])
-            # when it was exposed is known by the camera's clock alone
+            # only the camera's clock tells when it was exposed
             camera_ns = self._clock.believed(_time_ns(buffer), mono_ns())
             return CameraFrame(pixels, self._frame_id(buffer), exposure_start_ns=0, camera_ns=camera_ns)
         finally:
@@ -313,7 +313,7 @@ class GenicamDevice:
         """The next picture of a camera that runs freely.
 
         Raises:
-            SweepscopeError: none comes.
+            SweepscopeError: none arrives.
         """
         deadline_s = time.monotonic() + _GRAB_S
         while time.monotonic() < deadline_s:
@@ -335,10 +335,10 @@ class GenicamCamera:
         self._settings: CameraSettings | None = None
         self._failure: CameraLostError | None = None
         """What a command from another thread came upon; the thread that reads looks after it."""
-        self._reading = Reading("genicam-camera", self._serve)
+        self._reading = ReaderThread("genicam-camera", self._serve)
 
     def open(self, sink: CameraSink) -> CameraInfo:
-        """Connect, wait for triggers."""
+        """Connect and wait for triggers."""
         self._sink = sink
         frame_format = self._device.open(self._line)
         limits = self._device.limits()
@@ -352,18 +352,18 @@ class GenicamCamera:
         self._device.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Apply settings; returns what the camera took."""
+        """Apply settings; returns those in effect."""
         taken = self._device.configure(settings)
         self._settings = taken
         return taken
 
     def arm(self) -> None:
-        """Deliver what the wire triggers; nothing old waits, as the thread reads on all the time."""
+        """Deliver hardware-triggered frames; no old frame waits, because the thread reads all the time."""
         self._snaps = 0
         self._armed = True
 
     def disarm(self) -> None:
-        """Drop what comes."""
+        """Discard frames from now on."""
         self._armed = False
 
     def snap(self) -> None:
@@ -384,12 +384,12 @@ class GenicamCamera:
                     heard_s = time.monotonic()
                     self._deliver(frame)
                 elif time.monotonic() - heard_s > _QUIET_S:
-                    self._device.ask_for_a_sign()
+                    self._device.check_alive()
                     heard_s = time.monotonic()
                 if self._failure is not None:
                     raise self._failure
             except SweepscopeError as error:
-                self._come_back(error)
+                self._reconnect(error)
                 heard_s = time.monotonic()
 
     def _deliver(self, frame: CameraFrame) -> None:
@@ -397,8 +397,8 @@ class GenicamCamera:
             self._snaps = max(0, self._snaps - 1)
             self._sink(frame)
 
-    def _come_back(self, error: Exception) -> None:
-        """Say that the camera is gone, look for it, set it up as it was, and say that it is back."""
+    def _reconnect(self, error: Exception) -> None:
+        """Report the camera as gone, reconnect, restore its settings, and report it as back."""
         self._snaps = 0
         logger.error("the camera is gone: %s", in_words(error))
         self._sink(CameraGone(in_words(error)))
@@ -410,14 +410,14 @@ class GenicamCamera:
                 self._device.configure(self._settings)
 
         if self._reading.until_back(again, (SweepscopeError,)):
-            # commands were refused meanwhile
+            # settings commands were refused meanwhile
             self._failure = None
             self._sink(CameraGone("", back=True))
 
 
 @contextmanager
-def _told_as_lost() -> Iterator[None]:
-    """What the makers' libraries raise is told as :class:`CameraLostError`."""
+def _as_camera_lost() -> Iterator[None]:
+    """Turns any error of the vendors' libraries into :class:`CameraLostError`."""
     try:
         yield
     except _ERRORS as error:
@@ -425,7 +425,7 @@ def _told_as_lost() -> Iterator[None]:
 
 
 def in_words(error: Exception) -> str:
-    """One line of what a library says, without its source file and line."""
+    """First line of a library's error text, without its source file and line."""
     first = (str(error).strip().splitlines() or [""])[0]
     return first.partition(" (file ")[0] or type(error).__name__
 

@@ -1,4 +1,4 @@
-"""Acquire/cameras/image_files.py."""
+"""Reads image files: listing a folder in natural order, decoding to the arrays that scans store."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _decode(raw: NDArray[np.uint8]) -> NDArray[Any] | None:
     if raw.size == 0:
         return None
     level = cv2.utils.logging.getLogLevel()
-    # what OpenCV would print about a damaged picture is said in one line by our error
+    # silence OpenCV's own messages about a damaged picture; our error says it in one line
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         return cv2.imdecode(raw, _FLAGS)

@@ -1,4 +1,4 @@
-"""What every camera can do: be armed for hardware triggers and hand over each frame with its id."""
+"""Protocol of camera drivers: armed for hardware triggers, each frame is delivered to a sink with its id."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from acquire.contract.messaging.messages import FrameFormat
 
 
 class CameraLostError(SweepscopeError):
-    """The camera does not answer; its driver looks for it, and tells when it is back (:class:`CameraGone`)."""
+    """The camera does not answer; its driver reconnects and reports it (:class:`CameraGone`)."""
 
 
 class CameraSettings(msgspec.Struct, frozen=True):
-    """What can be changed while previewing and is locked during a sweep."""
+    """Settings that can be changed during preview and are locked during a sweep."""
 
     exposure_ms: float
     gain: float
@@ -26,7 +26,7 @@ class CameraSettings(msgspec.Struct, frozen=True):
 
 
 class CameraInfo(msgspec.Struct, frozen=True):
-    """What the camera is and which counters it has."""
+    """Identity of the camera, and the counters it has."""
 
     kind: str
     format: FrameFormat
@@ -38,7 +38,7 @@ class CameraInfo(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One frame as the camera delivered it. The pixels belong to the receiver and are never used again."""
+    """One frame as the camera delivered it. The receiver owns the pixels; the driver does not reuse them."""
 
     pixels: NDArray[Any]
     """[h, w] or [h, w, 3] RGB; uint8, or uint16 right-aligned."""
@@ -52,7 +52,7 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class CameraGone:
-    """The camera does not deliver any more (unplugged, restarted); ids start again when it is back."""
+    """The camera stopped delivering (unplugged, restarted), or is back; frame ids then start again."""
 
     detail: str
     back: bool = False

@@ -1,4 +1,4 @@
-"""A camera's reading in a thread of its own, so that no old picture waits in a buffer; begun and ended, never both."""
+"""Reader thread of a camera driver: reads all the time, so that no old picture waits in a buffer."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _JOIN_S = 10.0
 """A read that is under way may take so long to come back."""
 
 
-class Reading:
-    """Calls ``serve`` in a thread; it comes back soon after :attr:`ending` has become true."""
+class ReaderThread:
+    """Runs ``serve`` in a thread; ``serve`` must return soon after :attr:`ending` has become true."""
 
     def __init__(self, name: str, serve: Callable[[], None]) -> None:
         self._name, self._serve = name, serve
@@ -22,7 +22,7 @@ class Reading:
 
     @property
     def ending(self) -> bool:
-        """True when ``serve`` shall come back."""
+        """True when ``serve`` must return."""
         return self._ending.is_set()
 
     def begin(self) -> None:
@@ -32,7 +32,7 @@ class Reading:
         self._thread.start()
 
     def until_back(self, reopen: Callable[[], None], errors: tuple[type[Exception], ...]) -> bool:
-        """Look for a camera that went away once a second, from ``serve``; False when the reading was ended before."""
+        """Called from ``serve``: try to reconnect once a second; False if the thread was ended meanwhile."""
         said = ""
         while not self._ending.wait(AGAIN_S):
             try:

@@ -1,4 +1,4 @@
-"""A camera that shows the pictures of a folder or a scan again: frame k where the sweep stands at place k."""
+"""Camera that replays a folder of pictures or a scan: frame k at the position of frame k of the sweep."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ReadFrame = Callable[[int], NDArray[Any]]
 
 
 class ReplayCamera:
-    """Answers each shot with the stored picture of that place; outside the recording, with the nearest one."""
+    """Answers each shot with the recorded frame of that position, or with the nearest one outside the recording."""
 
     def __init__(self, config: RigConfig) -> None:
         self._config = config
@@ -71,19 +71,19 @@ class ReplayCamera:
             self._scan = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """A recording cannot be exposed again: settings are taken down and change nothing."""
+        """Stores the settings; they cannot change recorded pictures."""
         return settings
 
     def arm(self) -> None:
-        """Answer shots from now on."""
+        """Deliver frames from now on."""
         self._armed = True
 
     def disarm(self) -> None:
-        """Answer no more."""
+        """Stop delivering frames."""
         self._armed = False
 
     def snap(self) -> None:
-        """The picture of the place of the last shot."""
+        """The frame of the last shot's position."""
         self._shots.put((self._position_steps, mono_ns()))
 
     def fire(self, at_ns: int, position_steps: int) -> None:

@@ -1,6 +1,6 @@
-"""Faults of a simulated camera and lamp, by script: what happens at which exposure. For tests; empty means none.
+"""Scripted faults of the simulated camera and lamp, by exposure number. For tests; an empty script means none.
 
-``lose:12,extra:30`` loses the frame of exposure 12 and delivers one that nobody triggered after exposure 30.
+``lose:12,extra:30`` loses the frame of exposure 12 and delivers an untriggered one after exposure 30.
 Exposures are counted from 0 since the camera was opened (checks and re-taken frames count).
 """
 
@@ -65,14 +65,14 @@ class ScriptedFaults:
     _before: CameraFrame | None = None
 
     def begin(self) -> None:
-        """The next exposure begins: the light may change."""
+        """Begin the next exposure: the light may change."""
         self._exposure += 1
         for verb in self._verbs():
             if verb in _LIGHTS:
                 self.lamp, self.room = _LIGHTS[verb]
 
     def deliver(self, frame: CameraFrame) -> Iterator[Event]:
-        """What really comes of a frame."""
+        """The frames that are really delivered for a frame."""
         events: list[Event] = [replace(frame, camera_frame_id=frame.camera_frame_id + self._id_shift)]
         for verb in self._verbs():
             if verb in _DOERS:

@@ -1,4 +1,4 @@
-"""The simulated camera: exposes what the optics show for where the stage really is, one frame for each trigger."""
+"""The simulated camera: renders the scene for the true stage position, one frame per trigger."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LIMITS = {"exposure_ms": (0.01, 75.0), "gain": (0.0, 20.0), "brightness_percent
 
 
 class SimulatedCamera:
-    """Renders the scene in a thread of its own. The lamp and the stage are asked at the moment of exposure."""
+    """Renders in a thread. Lamp and stage position are those at the moment of exposure."""
 
     def __init__(self, config: RigConfig, position_steps: Callable[[], float] = lambda: 0.0) -> None:
         """``position_steps`` tells where the projector stands, in microsteps, when a software trigger comes."""
@@ -51,7 +51,7 @@ class SimulatedCamera:
 
     @property
     def lamp_on(self) -> bool:
-        """What the lamp is now."""
+        """State of the lamp now."""
         return self._lamp[0]
 
     @lamp_on.setter
@@ -59,12 +59,12 @@ class SimulatedCamera:
         self._lamp = (on, mono_ns(), self._lamp[0])
 
     def _lit_at(self, at_ns: int) -> bool:
-        """What it was at a moment that is not long ago: a picture is made a little after its exposure."""
+        """State of the lamp at a recent time: a frame is rendered shortly after its exposure."""
         on, since_ns, before = self._lamp
         return on if at_ns >= since_ns else before
 
     def open(self, sink: CameraSink) -> CameraInfo:
-        """Build the scene and start to deliver."""
+        """Build the scene and start the thread."""
         self._sink = sink
         self.show(self.simulation)
         self._thread = threading.Thread(target=self._serve, name="simulated-camera", daemon=True)
@@ -73,7 +73,7 @@ class SimulatedCamera:
 
     @property
     def simulation(self) -> SimulationConfig:
-        """What lies under the camera."""
+        """Configuration of the simulated specimen and optics."""
         return self._config.simulation if self.scene is None else self.scene.config
 
     def show(self, simulation: SimulationConfig) -> None:
@@ -89,7 +89,7 @@ class SimulatedCamera:
         else:
             scene = self.scene
         renderer = Renderer(scene)
-        # compiled now, not within the first exposure, whose frame would come too late
+        # compile the kernels now, not during the first exposure, whose frame would be late
         renderer.render(0, exposure_ms=1.0, gain=0.0, brightness=0.0)
         self.scene, self._renderer = scene, renderer
 
@@ -156,7 +156,7 @@ class SimulatedCamera:
         return round(self._settings.exposure_ms * 1e6 * self._config.simulation.time_scale)
 
     def _wait_for_exposure(self, at_ns: int) -> None:
-        """A picture is there at the earliest when its exposure is over."""
+        """Deliver a frame no earlier than the end of its exposure."""
         remaining_s = (at_ns + self._exposure_ns) / 1e9 - time.monotonic()
         if remaining_s > 0:
             time.sleep(remaining_s)

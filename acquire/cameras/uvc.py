@@ -28,7 +28,7 @@ def open_capture(device: str) -> cv2.VideoCapture:
 
 
 class UvcSource:
-    """Frames of one webcam, in RGB. Gain and brightness are handed to the driver as they are."""
+    """Frames of one webcam, in RGB. Gain and brightness are in the units of its driver."""
 
     kind = "uvc"
 
@@ -61,13 +61,13 @@ class UvcSource:
         return self._format
 
     def close(self) -> None:
-        """Let go of the device; idempotent."""
+        """Release the device; idempotent."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Exposure by hand, and the driver's own gain and brightness; what it took is read back."""
+        """Exposure by hand, and the driver's own gain and brightness; returns the values read back."""
         if self._capture is None:
             return settings
         wanted = {
@@ -86,14 +86,14 @@ class UvcSource:
         )
 
     def limits(self) -> dict[str, tuple[float, float]]:
-        """A webcam does not tell them through OpenCV."""
+        """None: OpenCV does not report the limits of a webcam."""
         return {}
 
     def grab(self) -> NDArray[Any]:
         """The next picture, RGB.
 
         Raises:
-            SweepscopeError: the device is gone.
+            SweepscopeError: the device was removed.
         """
         found, picture = self._capture.read() if self._capture is not None else (False, None)
         if not found or picture is None:

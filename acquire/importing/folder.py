@@ -1,4 +1,4 @@
-"""Turns a folder of pictures into a sealed scan file; a folder that is not one series of frames is refused by name."""
+"""Imports a folder of pictures as a sealed scan; refuses a folder that is not one series, naming the first odd file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ImportSummary(msgspec.Struct, frozen=True):
     """What a person should know; empty where there is nothing."""
 
     def words(self) -> str:
-        """One line for people."""
+        """Summary in one line."""
         shape = f"{self.format.width} x {self.format.height} {self.format.pixel_format}, {self.format.bit_depth} bit"
         line = f"{self.path}: {self.frames} frames of {shape}, from {self.first_frame} to {self.last_frame}"
         return f"{line}; {self.note}" if self.note else line
@@ -131,7 +131,7 @@ def _check_target(target: Path, *, force: bool) -> None:
 
 @contextmanager
 def _new_scan(target: Path, recipe: ScanRecipe, *, force: bool) -> Iterator[ScanFile]:
-    """A scan under its temporary name beside ``target``; what was not sealed is removed."""
+    """A scan under a temporary name beside ``target``; it is removed unless it was sealed."""
     creating, reserved = create_file(target.parent, recipe)
     scan = ScanFile(creating, sealed_path=target, reserved=reserved, replace=force)
     try:
@@ -143,7 +143,7 @@ def _new_scan(target: Path, recipe: ScanRecipe, *, force: bool) -> Iterator[Scan
 
 
 def _decoded(pictures: list[Path]) -> Generator[NDArray[Any], None, None]:
-    """Pictures in order, a few decoded ahead."""
+    """Decoded pictures in order; a few are decoded ahead in threads."""
     with ThreadPoolExecutor(_DECODERS, thread_name_prefix="decode") as pool:
         ahead: deque[Future[NDArray[Any]]] = deque()
         try:
@@ -159,7 +159,7 @@ def _decoded(pictures: list[Path]) -> Generator[NDArray[Any], None, None]:
 
 
 def _header(frame_index: int, pixels: NDArray[Any], wanted: FrameFormat, path: Path, first: Path) -> Image:
-    """The header of an imported frame: nothing is known of it but its pixels."""
+    """Header of an imported frame, of which only the pixels are known."""
     if pixels.shape != wanted.shape or pixels.dtype != np.dtype(wanted.dtype):
         raise ScanFileError(
             f"{path} is {_describe(pixels.shape, str(pixels.dtype))}, "

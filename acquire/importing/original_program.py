@@ -1,4 +1,4 @@
-"""Knows the folders of the original program: bitmaps with a projector.txt beside them, swept in steps of one size."""
+"""Recognises folders of the original program: bitmaps of a sweep with equal steps, and a projector.txt."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _FRAME: Final = re.compile(r"^\s*Frame\s+(\d+)\b", re.MULTILINE)
 
 @dataclass(frozen=True)
 class OriginalFolder:
-    """What projector.txt says of its sweep."""
+    """The sweep as projector.txt describes it."""
 
     last_frame: int | None
     """1-based number of the last frame; None where the file is not understood."""
 
     def note(self, pictures: int) -> str:
-        """What a person should know of the positions, in words."""
+        """Remark for the operator about the positions."""
         if self.last_frame is None:
             return f"{NAME} is not understood: positions are not known"
         where = (
@@ -35,7 +35,7 @@ class OriginalFolder:
         return f"{NAME} speaks of {self.last_frame} frames and there are {pictures}: positions are not known"
 
     def um_per_frame(self, pictures: int) -> float | None:
-        """Travel per frame; None where pictures are missing, so that nobody knows which."""
+        """Travel per frame; None if pictures are missing, because it is unknown which."""
         return STEPS_PER_FRAME * UM_PER_MICROSTEP if self.last_frame == pictures else None
 
 

@@ -1,1 +1,1 @@
-"""The way in over TCP, where the configuration names an address: keys, the gateway at the rig, the tunnel to it."""
+"""Remote access over TCP (off by default): keys, the gateway at the rig, the client's tunnel."""

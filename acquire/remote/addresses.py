@@ -1,4 +1,4 @@
-"""Which lanes are offered over TCP, and where: consecutive ports from the first."""
+"""TCP ports of the gateway: one per socket, consecutive from the first."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FORM = re.compile(r"^tcp://(?P<host>[^:/\[\]]+|\[[0-9a-fA-F:]+\]):(?P<port>\d{1
 
 @dataclass(frozen=True)
 class Address:
-    """Where a rig offers its lanes."""
+    """TCP address of a gateway."""
 
     host: str
     """Name or address; of IPv6 without brackets."""
@@ -26,12 +26,12 @@ class Address:
     """The first of ``len(OFFERED)`` ports."""
 
     def endpoint(self, lane: str) -> str:
-        """ZeroMQ's name of one lane's socket."""
+        """ZeroMQ endpoint of one socket."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"tcp://{host}:{self.port + OFFERED.index(lane)}"
 
     def __str__(self) -> str:
-        """As ``--connect`` takes it."""
+        """In the form of ``--connect``."""
         return self.endpoint(OFFERED[0])
 
 

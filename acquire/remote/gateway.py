@@ -1,6 +1,6 @@
-"""The gateway: offers status, results, preview and commands over TCP to those whose key is allowed, and to nobody else.
+"""The gateway: offers status, results, preview and commands over TCP to clients whose key is allowed.
 
-A service of its own: daemon and worker need no network for it, and its end touches no sweep. Every connection is
+A separate service: daemon and worker need no network, and its death affects no sweep. Every connection is
 encrypted and authenticated (CURVE, with an allow-list behind ZAP); frames and the live lane never leave the machine.
 """
 
@@ -43,15 +43,15 @@ LOCAL_ONLY = ("shutdown",)
 _MAKE = "'sudo sweepscope keys make --server' makes it"
 
 
-class Guard:
-    """Says who is let in; read by the authenticator's thread, replaced as a whole by the gateway's."""
+class AccessList:
+    """Allowed keys; read by the authenticator's thread, replaced as a whole by the gateway's."""
 
     def __init__(self) -> None:
         self.by_key: dict[str, tuple[str, Allowed]] = {}
         self.refused = 0
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """ZAP's question: may ``key`` (Z85) onto lanes of this domain?"""
+        """ZAP callback: may a client with this ``key`` (Z85) use the sockets of this domain?"""
         found = self.by_key.get(key.decode("ascii", "replace"))
         if found is not None and (domain == "watch" or found[1].may == "steer"):
             return True
@@ -62,10 +62,10 @@ class Guard:
 
 
 class Gateway:
-    """The service's sockets; one thread calls everything but the guard."""
+    """Sockets of the service; one thread calls everything but the access list."""
 
     def __init__(self, network: NetworkConfig, run_dir: Path, folder: Path) -> None:
-        """Read the keys and begin to listen.
+        """Read the keys and listen.
 
         Raises:
             ConfigError: no key, or the address cannot be used.
@@ -73,7 +73,7 @@ class Gateway:
         self.address = Address(network.host, network.port)
         self._run_dir, self._folder = run_dir, folder
         self._pair = load_pair(folder / SERVER_KEY_NAME, "the rig's key", _MAKE)
-        self.guard = Guard()
+        self.guard = AccessList()
         self._seen: tuple[int, int] | None = None
         self._context: zmq.Context[Any] = zmq.Context()
         self._authenticator = ThreadAuthenticator(self._context)
@@ -90,7 +90,7 @@ class Gateway:
 
     @property
     def public_key(self) -> str:
-        """What clients name by ``--server-key``."""
+        """The rig's public key, for the client's ``--server-key``."""
         return self._pair.public
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ class Gateway:
         self._context.destroy(linger=0)
 
     def run(self, stop: threading.Event) -> None:
-        """Carry messages until told to stop; a key that is revoked is cut off within a second."""
+        """Forward messages until stopped; a revoked key is disconnected within a second."""
         notifier = Notifier()
         notifier.ready(f"offered at {self.address}")
         look_s = time.monotonic()
@@ -114,7 +114,7 @@ class Gateway:
                 self._look()
         notifier.stopping()
 
-    # ---- who is let in ----
+    # ---- access ----
 
     def _look(self) -> None:
         before = self.guard.by_key
@@ -122,13 +122,13 @@ class Gateway:
             return
         after = self.guard.by_key
         if any(key not in after or entry.may != after[key][1].may for key, (_, entry) in before.items()):
-            # ZAP asks at the handshake only: who was let in before must knock again
+            # ZAP asks at the handshake only: close the sockets so that every client must connect again
             if self._relay is not None:
                 self._relay.close()
             self._relay = self._open()
 
     def _read_allowed(self) -> bool:
-        """Read the list if it has changed; True if it has. A list that cannot be read lets nobody in."""
+        """Read the list if it has changed; True if it has. If it cannot be read, no key is allowed."""
         try:
             found = (self._folder / ALLOWED_NAME).stat()
             seen = (found.st_mtime_ns, found.st_ino)
@@ -152,7 +152,7 @@ class Gateway:
             raise CommandRefusedError("this key may not steer the rig")
         if command.name in LOCAL_ONLY:
             raise CommandRefusedError(f"{command.name} is not taken from another machine")
-        # a command without a time would never be too old: it gets the oldest
+        # a command without a time stamp would never expire: give it the oldest one
         stamp = command.sent_mono_ns or 1
         client = command.client
         if client and not client.endswith(signature_of(who)):
@@ -191,7 +191,7 @@ class Gateway:
 
 
 def secure_server(socket: zmq.Socket[Any], pair: KeyPair, domain: str) -> None:
-    """Let only CURVE in, and only whom the guard knows; cut off who is silent."""
+    """Require CURVE with an allowed key; disconnect a peer that is silent."""
     socket.setsockopt(zmq.CURVE_SERVER, 1)
     socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret.encode())
     socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public.encode())
@@ -201,7 +201,7 @@ def secure_server(socket: zmq.Socket[Any], pair: KeyPair, domain: str) -> None:
 
 
 def keep_alive(socket: zmq.Socket[Any]) -> None:
-    """Notice a dead connection in seconds: what is said into it would arrive minutes later."""
+    """Detect a dead connection within seconds; otherwise messages sent into it would arrive minutes later."""
     socket.setsockopt(zmq.HEARTBEAT_IVL, HEARTBEAT_MS)
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, SILENCE_MS)
 

@@ -1,6 +1,6 @@
-"""Owns key files: pairs that only their owner can read, and the list of public keys that are let in.
+"""Key files: CURVE pairs readable by their owner only, and the list of allowed public keys.
 
-Secrets are never logged, printed or sent; public keys are made to be shown.
+Secrets are never logged, printed or sent; public keys may be shown.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class KeyPair:
     secret: str
 
     def __repr__(self) -> str:
-        """Without the secret: what is printed or logged by accident gives nothing away."""
+        """Without the secret, which must not be printed or logged by accident."""
         return f"KeyPair({self.public})"
 
 
 @dataclass(frozen=True)
 class Allowed:
-    """One key that is let in."""
+    """One allowed key."""
 
     key: str
     """Public key in Z85."""
@@ -55,13 +55,13 @@ class Allowed:
 
 
 def own_folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Where a person's key lives."""
+    """Folder of a user's key."""
     config = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
     return Path(config) / "sweepscope/keys"
 
 
 def rig_folder(config: LoadedConfig) -> Path:
-    """Where the rig's key and the list of allowed keys live: of an installed rig beside its rig.toml."""
+    """Folder of the rig's key and the list of allowed keys; of an installed rig, beside its rig.toml."""
     if config.rig.network.keys_dir:
         return Path(config.rig.network.keys_dir).expanduser()
     if config.path is not None and config.path.parent == SYSTEM_CONFIG:
@@ -70,15 +70,15 @@ def rig_folder(config: LoadedConfig) -> Path:
 
 
 def signature_of(public: str) -> str:
-    """What is put behind the name of a far client, so that it cannot be taken for another's."""
+    """Short digest of a key that is appended to a remote client's name, so that names are unique."""
     return f" via key {hashlib.sha256(public.encode()).hexdigest()[:8]}"
 
 
 def check_public(text: str) -> str:
-    """The key, if it is one.
+    """Check a public key and return it.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is not a key.
     """
     if not _Z85.match(text):
         raise ConfigError(f"{text[:60]!r} is no public key: it has 40 signs, as 'sweepscope keys make' prints them")
@@ -86,10 +86,10 @@ def check_public(text: str) -> str:
 
 
 def make_pair(path: Path, *, force: bool = False) -> KeyPair:
-    """Make a pair and keep it in a file of mode 0600; under /etc it belongs to the user of the services.
+    """Create a pair in a file of mode 0600; under /etc it belongs to the services' user.
 
     Raises:
-        ConfigError: there is one already (and ``force`` was not said), or it cannot be written.
+        ConfigError: there is one already (and ``force`` is False), or it cannot be written.
     """
     if path.exists() and not force:
         raise ConfigError(f"{path} is there already: who knows its public key goes on with it; --force replaces it")
@@ -110,7 +110,7 @@ def make_pair(path: Path, *, force: bool = False) -> KeyPair:
 def _fresh_pair() -> tuple[str, str]:
     while True:
         public, secret = (key.decode() for key in zmq.curve_keypair())
-        if not public.startswith("-"):  # on a command line it would be taken for an option
+        if not public.startswith("-"):  # on the command line it would be taken for an option
             return public, secret
 
 
@@ -118,7 +118,7 @@ def load_pair(path: Path, what: str, mend: str) -> KeyPair:
     """Read a pair.
 
     Raises:
-        ConfigError: not there, not readable, open to others, or no pair; the mend is said.
+        ConfigError: not there, not readable, open to others, or no pair; the text says how to fix it.
     """
     try:
         if stat.S_IMODE(path.stat().st_mode) & 0o077:
@@ -126,7 +126,7 @@ def load_pair(path: Path, what: str, mend: str) -> KeyPair:
         fields = tomllib.loads(path.read_text(encoding="utf-8"))
         pair = KeyPair(str(fields["public"]), str(fields["secret"]))
         if not _Z85.match(pair.public) or not _Z85.match(pair.secret):
-            raise ValueError("no pair")  # not shown: half of it is secret
+            raise ValueError("no pair")  # do not show the line: half of it is secret
         return pair
     except FileNotFoundError:
         raise ConfigError(f"{what} {path} is not there: {mend}") from None
@@ -135,10 +135,10 @@ def load_pair(path: Path, what: str, mend: str) -> KeyPair:
 
 
 def load_allowed(folder: Path) -> dict[str, Allowed]:
-    """Who is let in, by name; nobody if there is no list.
+    """Allowed keys by name; none if there is no list.
 
     Raises:
-        ConfigError: the list cannot be read; nobody is let in then.
+        ConfigError: the list cannot be read; no key is allowed then.
     """
     path = folder / ALLOWED_NAME
     try:
@@ -157,7 +157,7 @@ def _entry(name: str, fields: object) -> Allowed:
 
 
 def allow(folder: Path, name: str, key: str, may: May) -> None:
-    """Let a key in; a name that is there already gets the new key.
+    """Allow a key; an existing name gets the new key.
 
     Raises:
         ConfigError: no name, no key, or the list cannot be written.
@@ -168,7 +168,7 @@ def allow(folder: Path, name: str, key: str, may: May) -> None:
 
 
 def revoke(folder: Path, name: str) -> None:
-    """Let a key in no longer.
+    """Remove a key from the list.
 
     Raises:
         ConfigError: no such name, or the list cannot be written.

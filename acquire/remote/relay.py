@@ -1,7 +1,7 @@
-"""Carries lanes from one place to another, message by message, and bends commands on their way.
+"""Forwards sockets message by message, and checks commands on the way.
 
-What the rig says goes through as it is. A command is parsed, shown to a judge, and sent on or answered at once; its
-reply finds the way back by the request's id. Nothing is queued for a side that is away.
+What the rig publishes is forwarded unchanged. A command is parsed and passed to ``judge``, then forwarded or refused;
+its reply is routed by the request id. Nothing is queued for a side that is not connected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Socket = zmq.Socket[Any]
 
 @dataclass(frozen=True)
 class Ends:
-    """One lane's two sockets."""
+    """The two sockets of one connection."""
 
     front: Socket
     """Toward whoever connects: XPUB, or ROUTER on the command lane."""
@@ -39,7 +39,7 @@ class Ends:
 
 
 class Relay:
-    """Owns the sockets that it is given. Not thread-safe."""
+    """Takes over the sockets that it is given, and closes them. Not thread-safe."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Relay:
         judge: Callable[[Command, str], Command],
         listen: Callable[[str, list[zmq.Frame]], list[Any]] = lambda lane, parts: parts,
     ) -> None:
-        """Put sockets together.
+        """Connect pairs of sockets.
 
         Args:
             spoken: the lanes on which the rig speaks, by name.
@@ -67,13 +67,13 @@ class Relay:
             self._poller.register(ends.back, zmq.POLLIN)
 
     def close(self) -> None:
-        """Close all sockets; what was not sent is dropped."""
+        """Close all sockets; unsent messages are dropped."""
         for ends in (*self._spoken.values(), self._asked):
             ends.front.close(0)
             ends.back.close(0)
 
     def turn(self, timeout_ms: int) -> None:
-        """Wait for something for at most ``timeout_ms`` and carry it."""
+        """Wait for messages for at most ``timeout_ms`` and forward them."""
         ready = dict(self._poller.poll(timeout_ms))
         for lane, ends in self._spoken.items():
             if ends.front in ready:
@@ -90,7 +90,7 @@ class Relay:
             parts = _next(ends.back)
             if parts is None:
                 return
-            with suppress(zmq.Again):  # lossy, as the lane is
+            with suppress(zmq.Again):  # lossy, as the socket is
                 ends.front.send_multipart(self._listen(lane, parts), zmq.NOBLOCK, copy=False)
 
     def _take_commands(self) -> None:
@@ -134,7 +134,7 @@ class Relay:
                 self._answer(routing_id, reply)
 
     def _answer(self, routing_id: bytes, reply: Reply) -> None:
-        with suppress(zmq.Again, zmq.ZMQError):  # whoever asked has gone
+        with suppress(zmq.Again, zmq.ZMQError):  # the client has disconnected
             self._asked.front.send_multipart([routing_id, encode(reply)], zmq.NOBLOCK)
 
 
@@ -146,7 +146,7 @@ def _next(source: Socket) -> list[zmq.Frame] | None:
 
 
 def _carry_subscriptions(source: Socket, target: Socket) -> None:
-    """Nothing but subscriptions goes toward the rig on a lane where the rig speaks."""
+    """Towards a publishing socket of the rig, forward subscriptions only."""
     for _ in range(MAX_BURST):
         parts = _next(source)
         if parts is None:

@@ -1,7 +1,6 @@
-"""The client's end of the way in: lanes of a far rig as sockets in a folder of our own, for any client.
+"""The client's end of remote access: the sockets of a remote rig in a local folder, for any client program.
 
-It promises that a command is done within moments or not at all: it is stamped with the rig's own clock, and refused
-here while the rig is away.
+A command is stamped with the rig's clock so that it expires in time, and is refused while the rig is not connected.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _WATCH_ONLY = "this key may watch the rig, not steer it: 'sweepscope keys allow'
 
 
 class Tunnel:
-    """Use it in a ``with`` block; :attr:`run_dir` is what clients are given."""
+    """Use it in a ``with`` block; clients connect to the sockets in :attr:`run_dir`."""
 
     def __init__(
         self,
@@ -48,7 +47,7 @@ class Tunnel:
         pair: KeyPair,
         now_ns: Callable[[], int] = mono_ns,
     ) -> None:
-        """Nothing is connected before the ``with``."""
+        """Connects on entering the ``with`` block."""
         self.address = address
         self._server_key, self._pair, self._now_ns = server_key, pair, now_ns
         self._signature = signature_of(pair.public)
@@ -78,10 +77,10 @@ class Tunnel:
         shutil.rmtree(self.run_dir, ignore_errors=True)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until the rig has been heard, and is let in or known to be refused on the command lane.
+        """Wait until the rig's status arrives and the command socket is connected, or refused.
 
         Raises:
-            NoServiceError: it was not, and why.
+            NoServiceError: not connected; the text says why.
         """
 
         def settled() -> bool:
@@ -115,7 +114,7 @@ class Tunnel:
             elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
                 self._why[lane] = _REFUSED
             elif event in (zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL, zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL):
-                # a gateway that restarts cuts a handshake off as well; one with another key does it every time
+                # a restarting gateway also breaks a handshake; one with another key breaks every one
                 self._cut_off[lane] += 1
                 if self._cut_off[lane] >= PROOF:
                     self._why[lane] = _FAILED
@@ -131,12 +130,12 @@ class Tunnel:
         except ProtocolError:
             return parts
         with self._changed:
-            # late news makes our commands look older than they are, never younger
+            # a late status makes our commands look older than they are, never younger
             self._ahead_ns = status.sent_mono_ns - self._now_ns()
             self._changed.notify_all()
         if not status.control.endswith(self._signature):
             return parts
-        # who holds control through this tunnel knows itself by its own name
+        # the holder of control behind this tunnel knows itself by its own name
         return [encode(msgspec.structs.replace(status, control=status.control.removesuffix(self._signature)))]
 
     def _judge(self, command: Command, _who: str) -> Command:
@@ -154,7 +153,7 @@ class Tunnel:
         for front in fronts.values():
             front.setsockopt(zmq.XPUB_VERBOSE, 1)
         spoken = {lane: Ends(front, self._back(zmq.XSUB, lane)) for lane, front in fronts.items()}
-        # the rig's clock is needed whether or not anybody listens
+        # the rig's clock is needed even without a subscriber
         spoken["status"].back.send(b"\x01")
         asked = Ends(bind(self._context, zmq.ROUTER, self.run_dir, ASKED), self._back(zmq.DEALER, ASKED))
         return Relay(spoken, asked, self._judge, self._listen)

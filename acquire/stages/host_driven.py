@@ -1,6 +1,6 @@
-"""What stages have in common whose segments the host itself runs: one activity at a time, in a thread that can stop.
+"""Base class of stages whose segments run in the host: one activity at a time, in a thread that can be stopped.
 
-Owns the thread, the credit, holds and stops; a subclass says how a step is made and what it can promise of the place.
+Implements the thread, credit, holds and stops. A subclass implements single moves and triggers.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _JOIN_S = 5.0
 
 
 class StopRequestedError(Exception):
-    """Unwinds the running activity."""
+    """Raised in the stage's thread to unwind the running activity."""
 
 
-class HostRunStage:
-    """Runs activities one after the other; a stop is obeyed at each wait."""
+class HostDrivenStage:
+    """Runs one activity after another; a stop takes effect at each wait."""
 
     def __init__(self, config: StageConfig, name: str) -> None:
         """``name`` is that of the thread."""
@@ -36,10 +36,10 @@ class HostRunStage:
         self._granted = -1
         self._holding = self._stopping = self._closing = False
 
-    # ---- of the protocol ----
+    # ---- protocol ----
 
     def check_limit(self) -> None:
-        """Touch the limit again, where there is one."""
+        """Touch the limit switch again, if there is one."""
         self._start(self._touch)
 
     def grant(self, may_trigger_through: int) -> None:
@@ -55,7 +55,7 @@ class HostRunStage:
             self._changed.notify_all()
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue after a hold."""
         with self._changed:
             self._holding = False
             self._changed.notify_all()
@@ -66,7 +66,7 @@ class HostRunStage:
             self._stopping = self._activity is not None
             self._changed.notify_all()
 
-    # ---- what a subclass says ----
+    # ---- for subclasses to implement ----
 
     def _touch(self) -> None:
         raise NotImplementedError
@@ -120,7 +120,7 @@ class HostRunStage:
                 self._end_with(self._ended_early(error))
 
     def _end_with(self, event: StageEvent) -> None:
-        """Ready for the next activity before the last one is reported: the report may start it."""
+        """Become idle before the end is reported, because the receiver may start the next activity at once."""
         with self._changed:
             self._activity = None
             self._stopping = False
@@ -132,7 +132,7 @@ class HostRunStage:
         return not self._holding and self._granted >= shot_index
 
     def _wait_for_credit(self, shot_index: int, *, tell_no_credit: bool = False) -> None:
-        """Wait for credit and for the end of a hold; a hold that was asked for is told once."""
+        """Wait for credit and for the end of a hold; a requested hold is reported once."""
         with self._changed:
             told = False
             while not self._stopping and not self._has_credit(shot_index):
@@ -143,7 +143,7 @@ class HostRunStage:
         self._raise_if_stopped()
 
     def _wait(self, duration_s: float) -> None:
-        """Wait; a stop ends it."""
+        """Wait; raises StopRequestedError on a stop."""
         if duration_s > 0:
             with self._changed:
                 self._changed.wait_for(lambda: self._stopping, timeout=duration_s)

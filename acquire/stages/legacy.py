@@ -1,4 +1,4 @@
-"""The original sketch's stage: four one-byte commands, no replies. It moves; it can prove nothing about where it is.
+"""Stage on the original one-byte sketch: four commands, no replies, so position and triggers cannot be verified.
 
 Protocol (9600 baud 8N1): ``1`` and ``0`` set STEP high and low, ``2`` and ``3`` set DIR low (out) and high (in).
 Steps, triggers and frames are therefore counted by the host alone, and the report says so.
@@ -16,7 +16,7 @@ from acquire.contract.errors import CommandRefusedError
 from acquire.contract.process.clocks import mono_ns
 from acquire.stages.uno.ports import choose_port, open_port
 
-from .host_driven import HostRunStage
+from .host_driven import HostDrivenStage
 from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
 
 BAUD = 9600
@@ -28,11 +28,11 @@ STEP_BYTES = b"10"
 OUTWARD, INWARD = b"2", b"3"
 
 
-class LegacyStage(HostRunStage):
+class LegacyStage(HostDrivenStage):
     """Steps by bytes. It has no TRIGGER wire: the host passes each shot on to the camera.
 
-    The position is trusted only from ``zero_here`` until the port is closed: nobody can tell whether the controller
-    restarted or a step was lost.
+    The position is trusted only from ``zero_here`` until the port is closed: a restart of the controller or a lost step
+    cannot be detected.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class LegacyStage(HostRunStage):
         self._start(lambda: self._move(position_steps, rate_steps_per_s))
 
     def home(self) -> None:
-        """There is no switch to find."""
+        """Refused: there is no limit switch."""
         raise CommandRefusedError("the original controller has no limit switch: jog to the near end, then zero")
 
     def zero_here(self) -> None:
-        """Call the present place zero."""
+        """Call the present position zero."""
         self._start(self._zero)
 
     def begin_segment(self, segment: Segment, may_trigger_through: int) -> int:
@@ -120,7 +120,7 @@ class LegacyStage(HostRunStage):
         return Moved(self._position, self._zeros > 0, self.status().zero_id, steps_lost)
 
     def _touch(self) -> None:
-        """There is nothing to touch: the report says so."""
+        """Without a limit switch, report no number of lost steps."""
         self._end_with(self._moved())
 
     def _move(self, position_steps: int, rate_steps_per_s: float) -> None:
@@ -133,7 +133,7 @@ class LegacyStage(HostRunStage):
         self._end_with(self._moved())
 
     def _travel(self, target_steps: int, rate_steps_per_s: float = 0.0) -> None:
-        """Write steps in small chunks, each given the time that its bytes take, so that a stop is obeyed soon."""
+        """Write steps in small chunks at the pace of the serial line, so that a stop takes effect soon."""
         assert self._port is not None
         self._wait(self._ready_s - time.monotonic())
         outward = target_steps >= self._position

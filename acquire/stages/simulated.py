@@ -1,4 +1,4 @@
-"""The simulated stage: moves, segments and triggers in a thread of its own, on the same protocol as the firmware."""
+"""The simulated stage: moves, segments and triggers in a thread, behind the same protocol as the firmware."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.process.clocks import mono_ns
 
-from .host_driven import HostRunStage
+from .host_driven import HostDrivenStage
 from .protocol import Moved, Segment, SegmentDone, StageInfo, StageSink, StageStatus, Stopped, Triggered
 
 TriggerLine = Callable[[float, int, float], None]
@@ -22,8 +22,8 @@ _SLICE_S = 0.02
 _SHORTEST_WAIT_S = 50e-6
 
 
-class SimulatedStage(HostRunStage):
-    """A stage that is exact and homed from the start. ``time_scale`` shortens its motion, never its order."""
+class SimulatedStage(HostDrivenStage):
+    """An exact stage, homed from the start. ``time_scale`` scales durations; the order of events stays the same."""
 
     def __init__(self, config: StageConfig, line: TriggerLine, *, time_scale: float = 1.0) -> None:
         super().__init__(config, "simulated-stage")
@@ -92,7 +92,7 @@ class SimulatedStage(HostRunStage):
         self._lamp_on = on
 
     def keep_alive(self) -> None:
-        """Nothing to renew: the stage lives in the host."""
+        """Nothing to renew: the stage runs in the host."""
 
     # ---- activities, in the stage's thread ----
 
@@ -133,7 +133,7 @@ class SimulatedStage(HostRunStage):
         self._end_with(SegmentDone(self._position))
 
     def _fly(self, segment: Segment) -> None:
-        """Constant speed, a trigger at each place; what has no credit is approached again after a halt."""
+        """Fly mode: constant speed, a trigger at each position; without credit it stops and approaches again."""
         period_s = segment.period_ms / 1000 * self._time_scale
         travel_steps = segment.pitch_steps * segment.dwell_ms / segment.period_ms
         next_s = None
@@ -146,12 +146,12 @@ class SimulatedStage(HostRunStage):
             self._sleep_until(next_s)
             self._position = place
             self._fire(shot_index, travel_steps)
-            # a thread that is late is a stage that is slower: two triggers are never closer than a period
+            # if this thread is late the stage is slower: two triggers are never closer than a period
             next_s = max(next_s, time.monotonic()) + period_s
         self._end_with(SegmentDone(self._position))
 
     def _check_speed(self, segment: Segment) -> None:
-        """A sweep on the fly goes by its period; refused where that is none or too fast."""
+        """Fly mode needs a period that the stage's highest speed allows; else the segment is refused."""
         fastest = self._config.max_rate_steps_per_s
         if segment.period_ms <= 0 or abs(segment.pitch_steps) * 1000 / segment.period_ms > fastest:
             raise CommandRefusedError(
@@ -160,7 +160,7 @@ class SimulatedStage(HostRunStage):
             )
 
     def _fire(self, shot_index: int, travel_steps: float = 0.0) -> None:
-        """Report the trigger, then expose; on the fly the picture belongs to the place at mid-exposure."""
+        """Report the trigger, then expose; in fly mode the frame's position is that at mid-exposure."""
         at_ns = mono_ns()
         trigger_id, self._triggers = self._triggers, self._triggers + 1
         middle_steps = self._position + travel_steps / 2
@@ -169,7 +169,7 @@ class SimulatedStage(HostRunStage):
         self._line(middle_steps, at_ns, travel_steps)
 
     def _travel(self, target_steps: int, rate_steps_per_s: float = 0.0) -> None:
-        """Move at the profile's speed; a stop is obeyed within a slice."""
+        """Move with the profile's speed, in time slices; a stop takes effect after a slice."""
         start, started_s = self._position, time.monotonic()
         duration_s = self._duration_s(abs(target_steps - start), rate_steps_per_s) * self._time_scale
         while (elapsed_s := time.monotonic() - started_s) < duration_s - _SHORTEST_WAIT_S:
@@ -188,6 +188,6 @@ class SimulatedStage(HostRunStage):
         return rate / acceleration + distance_steps / rate
 
     def _sleep_until(self, deadline_s: float) -> None:
-        """Wait until then; what is shorter than the clock's grain is not waited for."""
+        """Wait until then; waits below the clock's resolution are skipped."""
         remaining_s = deadline_s - time.monotonic()
         self._wait(remaining_s if remaining_s > _SHORTEST_WAIT_S else 0.0)

@@ -1,4 +1,4 @@
-"""Checks each wire of the stage with a person beside it: moves little, asks, and says what it saw."""
+"""Interactive check of the stage's wiring: makes small moves, asks the operator, and reports each result."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _LOOK_S = 0.05
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What one check saw."""
+class WiringResult:
+    """Result of one check."""
 
     wire: str
     good: bool
@@ -42,7 +42,7 @@ class StageCheck:
         self._stage, self._say, self._ask, self._person_s = stage, say, ask, person_s
         self._events: queue.Queue[StageEvent] = queue.Queue()
 
-    def run(self) -> list[Finding]:
+    def run(self) -> list[WiringResult]:
         """Check serial line, switches, motor, lamp, trigger and strobe, in this order; the stage is closed at the end.
 
         What needs motion is left out while a switch reads as pressed, what needs a moving stage where it does not move.
@@ -63,20 +63,20 @@ class StageCheck:
         finally:
             self._stage.close()
 
-    def _note(self, wire: str, good: bool, saw: str) -> Finding:
+    def _note(self, wire: str, good: bool, saw: str) -> WiringResult:
         self._say(f"{'ok  ' if good else 'BAD '} {wire}: {saw}")
-        return Finding(wire, good, saw)
+        return WiringResult(wire, good, saw)
 
-    def _line(self, info: StageInfo) -> Finding:
+    def _line(self, info: StageInfo) -> WiringResult:
         return self._note("USB", True, f"firmware {info.version}, boot {info.boot_id}")
 
-    def _switches(self) -> list[Finding]:
+    def _switches(self) -> list[WiringResult]:
         return [
             self._switch("D4 LIMIT", Flag.LIMIT, "the limit switch"),
             self._switch("D3 ESTOP", Flag.ESTOP, "the emergency stop"),
         ]
 
-    def _switch(self, wire: str, flag: Flag, name: str) -> Finding:
+    def _switch(self, wire: str, flag: Flag, name: str) -> WiringResult:
         if self._stage.report.flags & flag:
             return self._note(wire, False, f"{name} reads as pressed: released, wired, normally closed to GND?")
         self._say(f"press {name} and hold it, within {self._person_s:.0f} s")
@@ -86,7 +86,7 @@ class StageCheck:
         released = self._until(lambda: not self._stage.report.flags & flag, self._person_s)
         return self._note(wire, released, "pressed and released" if released else "it stays pressed")
 
-    def _motor(self) -> Finding:
+    def _motor(self) -> WiringResult:
         wire = "D9 STEP, D7 DIR, D6 ENABLE"
         self._stage.zero_here()
         if not self._rest():
@@ -99,14 +99,14 @@ class StageCheck:
         good = self._ask("did it move away from the limit switch first, and come back?")
         return self._note(wire, good, "moved" if good else "turned the wrong way or not at all: motor, DIR, supply?")
 
-    def _lamp(self) -> Finding:
+    def _lamp(self) -> WiringResult:
         self._stage.set_lamp(on=True)
         lit = self._ask("is the lamp lit?")
         self._stage.set_lamp(on=False)
         dark = self._ask("is it dark again?")
         return self._note("D5 LAMP", lit and dark, "on and off" if lit and dark else "it does not follow")
 
-    def _trigger(self) -> list[Finding]:
+    def _trigger(self) -> list[WiringResult]:
         before = self._stage.report.triggers, self._stage.strobes
         self._say(f"{_SHOTS} triggers go to the camera: it must wait for hardware triggers")
         self._stage.begin_segment(Segment(0, 1, _SHOTS, settle_ms=100.0, dwell_ms=200.0), _SHOTS - 1)
@@ -118,7 +118,7 @@ class StageCheck:
         ]
 
     def _rest(self) -> bool:
-        """Wait for the end of a motion; False for an alarm or silence."""
+        """Wait for the end of a motion; False after an alarm or a time-out."""
         deadline_s = time.monotonic() + _MOTION_S
         while time.monotonic() < deadline_s:
             self._stage.keep_alive()

@@ -1,4 +1,4 @@
-"""The emulated controller: runs the built firmware with its port on a pty, and turns the knobs of its bench.
+"""The emulated controller: runs the built firmware in simavr with its serial port on a pty, and injects faults.
 
 Needs the AVR tools and simavr (see firmware/README.md); nothing else in the product does.
 """
@@ -37,7 +37,7 @@ class EmulatorError(SweepscopeError):
 
 @dataclass(frozen=True)
 class PinState:
-    """What the bench has seen at the pins since it was started."""
+    """Counts at the emulated pins since the start."""
 
     position: int
     """Where the stage truly is, in microsteps from where it stood at the start."""
@@ -74,7 +74,7 @@ def missing_tools() -> list[str]:
 
 
 def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path, Path]:
-    """Make firmware and bench; returns (ELF, bench program).
+    """Build firmware and emulator; returns their paths (ELF, program).
 
     Raises:
         EmulatorError: a tool is missing, or the compiler complains.
@@ -86,7 +86,7 @@ def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path
     folder.mkdir(parents=True, exist_ok=True)
     command = ["make", "-s", "-C", str(FIRMWARE_DIR), f"BUILD={folder}", "all", "sim", *arguments]
     with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # two that start at once must not build into each other
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two builds at the same time must not overwrite each other
         done = subprocess.run(command, capture_output=True, text=True, timeout=_BUILD_S, check=False)
     if done.returncode != 0:
         raise EmulatorError(f"the firmware does not build: {(done.stderr or done.stdout).strip()[-500:]}")
@@ -94,7 +94,7 @@ def build_firmware(build_dir: Path | None = None, *arguments: str) -> tuple[Path
 
 
 class Emulator:
-    """One running bench. ``pace`` 1 is real time, 0 as fast as it goes."""
+    """One running emulator. ``pace`` 1 is real time, 0 as fast as possible."""
 
     def __init__(
         self, elf: Path, program: Path, *, pace: float = 1.0, limit_at: int = -1_000_000_000, seed: int = 1
@@ -107,7 +107,7 @@ class Emulator:
         self._process = subprocess.Popen(
             [str(program), str(elf), *map(str, arguments), "--seed", str(seed)],
             stdout=subprocess.PIPE,
-            start_new_session=True,  # a signal to our group must not end it before the driver; it ends when we are gone
+            start_new_session=True,  # Ctrl-C must not end it before the driver is closed
         )
         self._socket: socket.socket | None = None
         self._rest = b""
@@ -129,21 +129,21 @@ class Emulator:
 
     @property
     def pid(self) -> int:
-        """Process id of the bench."""
+        """Process id of the emulator."""
         return self._process.pid
 
     def connect(self) -> socket.socket:
-        """One more connection to the bench."""
+        """Open another connection to the emulator's control socket."""
         connection = socket.socket(socket.AF_UNIX)
         connection.settimeout(_ANSWER_S)
         connection.connect(self._control)
         return connection
 
     def knob(self, text: str) -> str:
-        """Turn a knob; returns the answer's text.
+        """Send a request of firmware/README.md (such as ``drop 3``); returns the text of the answer.
 
         Raises:
-            EmulatorError: no such knob, or no answer.
+            EmulatorError: unknown request, or no answer.
         """
         assert self._socket is not None
         try:
@@ -161,7 +161,7 @@ class Emulator:
         return line[3:].decode()
 
     def state(self) -> PinState:
-        """The pin tap's counts."""
+        """Counts at the pins."""
         fields = dict(word.split("=", 1) for word in self.knob("state").split())
         fields.pop("port")
         return PinState(**{name: int(value) for name, value in fields.items()})
@@ -176,7 +176,7 @@ class Emulator:
         self._watchers.append(TriggerWatch(self.connect(), on_trigger, on_lamp, on_dropped))
 
     def close(self) -> None:
-        """End the bench; idempotent."""
+        """End the emulator; idempotent."""
         self._process.terminate()
         try:
             self._process.wait(timeout=5)
@@ -193,7 +193,7 @@ class Emulator:
 
 
 class TriggerWatch:
-    """Reads the bench's reports of edges; the bench waits for a slow reader, so none is lost."""
+    """Reads the emulator's reports of edges; the emulator waits for a slow reader, so none is lost."""
 
     def __init__(
         self,

@@ -190,24 +190,24 @@ class ReportFollower:
     # ---- from the link's thread ----
 
     def poll(self) -> bytes | None:
-        """Ask for the state: often while something moves, and only while the host's main loop lives."""
+        """Body of the next status request: often during motion, and then only while the host's main loop is running."""
         now_s = time.monotonic()
         with self._lock:
             report, active = self._report, self._activity is not None
             behind = report is not None and report.triggers > self._next_event
             seen = self._next_event
         every_s = 0.0 if behind else _POLL_ACTIVE_S if active else _POLL_IDLE_S
-        if now_s - self._polled_s < every_s or (active and not self._host_lives(now_s)):
+        if now_s - self._polled_s < every_s or (active and not self._host_is_running(now_s)):
             return None
         self._polled_s = now_s
         self._asked_ns = mono_ns()
         return StatusBody(seen).pack()
 
-    def _host_lives(self, now_s: float) -> bool:
+    def _host_is_running(self, now_s: float) -> bool:
         return now_s - self._alive_s < self._config.motion_lease_ms / 2000
 
     def on_report(self, report: ReportBody, events: tuple[EventBody, ...]) -> None:
-        """Pass trigger events on in order, then what became of the activity."""
+        """Pass on trigger events in order, then the end or hold of the activity."""
         with self._lock:
             self._report = report
             self.strobes = report.strobes
@@ -215,7 +215,7 @@ class ReportFollower:
         for event in fired:
             self.sink(event)
         if report.state != McuState.ALARM:
-            # it was made after it was asked for, whenever that was exactly
+            # the report was made after it was requested, so there was no alarm at that time
             self._no_alarm_ns = self._asked_ns
         if self._activity is None:
             return
@@ -240,7 +240,7 @@ class ReportFollower:
         return fired
 
     def _middle_um(self, position_steps: int) -> float | None:
-        """Where the stage is half an exposure after a trigger on the fly; None where it stands still."""
+        """Position half an exposure after a trigger in fly mode; None in step mode."""
         segment = self._segment
         if segment.mode != "fly" or not segment.period_ms:
             return None
@@ -250,8 +250,8 @@ class ReportFollower:
     def _watch_hold(self, report: ReportBody) -> None:
         reason = McuHold(report.hold_reason) if report.state == McuState.HOLDING else McuHold.NONE
         if reason in (McuHold.HOST, McuHold.REALTIME) and not self._hold_wanted:
-            self._resume_soon()  # noise looked like the realtime byte
-        elif reason == McuHold.LEASE and not self._hold_wanted and self._host_lives(time.monotonic()):
+            self._resume_soon()  # noise was taken for the realtime byte
+        elif reason == McuHold.LEASE and not self._hold_wanted and self._host_is_running(time.monotonic()):
             self._resume_soon()
         if reason != self._held_for:
             self._held_for = reason
@@ -287,7 +287,7 @@ class ReportFollower:
             self.sink(Moved(report.position, trusted, zero_id=_zero_id(report), steps_lost=lost))
 
     def on_lost(self, detail: str) -> None:
-        """The firmware holds by its lease; wait for it to come back."""
+        """The link is lost; the firmware holds by its lease until it is back."""
         logger.warning("the stage's controller is gone: %s", detail)
         with self._lock:
             self._lost_since_s = time.monotonic()
@@ -297,7 +297,7 @@ class ReportFollower:
             self.sink(Held("link lost", position))
 
     def on_back(self, hello: HelloReplyBody, *, same_session: bool) -> None:
-        """The same one: go on. Restarted: it knows nothing any more, not even where it is."""
+        """Same session: continue. Restarted: configure it again and end the activity; its position is lost."""
         with self._lock:
             self._lost_since_s = None
             through = self._first_id + self._granted
@@ -322,7 +322,7 @@ class ReportFollower:
 
 
 def result_of(answer: Block) -> Result:
-    """What became of a command; a question that was answered by its message is OK."""
+    """Result code of a command; a request that was answered by a message of its own is OK."""
     return Result(AckBody.unpack(answer.body).result) if answer.kind == Msg.ACK else Result.OK
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from acquire.cameras.clock_check import OwnClock
+from acquire.cameras.clock_check import CameraClock
 from acquire.cameras.free_running import FreeRunningCamera
 from acquire.cameras.protocol import CameraFrame, CameraGone, CameraSettings
 from acquire.cameras.replay import ReplayCamera
@@ -266,7 +266,7 @@ def test_a_recording_must_be_named_and_readable(tmp_path):
 
 @pytest.mark.parametrize(("ns_per_count", "believed"), [(1, True), (8, False), (0, False)])
 def test_a_clock_that_counts_otherwise_than_it_says_is_never_believed(ns_per_count, believed):
-    clock, second = OwnClock(), 10**9
+    clock, second = CameraClock(), 10**9
     told = [
         clock.believed(7 * second + k * second * ns_per_count // 4, 99 * second + k * second // 4) for k in range(5)
     ]
