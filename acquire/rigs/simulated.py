@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,8 @@ from acquire.stages.protocol import Stage
 from acquire.stages.simulated import SimulatedStage
 
 from .base import Rig
+
+logger = logging.getLogger(__name__)
 
 
 class RenderedRig(Rig):
@@ -51,7 +54,10 @@ class RenderedRig(Rig):
     def _write_truth(self, folder: Path, plan: SweepPlan) -> None:
         assert self._camera.scene is not None
         found = truth(self._camera.scene, plan.first_steps, plan.pitch_steps, plan.count)
-        write_truth(folder / TRUTH_NAME, found)
+        try:
+            write_truth(folder / TRUTH_NAME, found)
+        except OSError as error:
+            logger.error("no ground truth: %s", error)  # noqa: TRY400
 
     def specimen(self, changes: dict[str, Any]) -> SimulationConfig:
         """The simulation as it is, with ``changes``."""

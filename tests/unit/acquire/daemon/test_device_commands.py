@@ -11,9 +11,14 @@ from tui.cli import run
 
 
 @pytest.fixture
-def rig(run_dir, tmp_path, monkeypatch):
+def time_scale():
+    return 0.01
+
+
+@pytest.fixture
+def rig(run_dir, tmp_path, monkeypatch, time_scale):
     monkeypatch.setenv("SWEEPSCOPE_RUN", str(run_dir))
-    settings = {"sweep.max_rate_hz": 15.0, "simulation.object": "dome"}
+    settings = {"sweep.max_rate_hz": 15.0, "simulation.object": "dome", "simulation.time_scale": time_scale}
     with RigInProcess(run_dir, tmp_path / "scans", settings) as found:
         yield found
 
@@ -37,6 +42,7 @@ def test_moves_that_are_waited_for_end_where_they_must(rig, sweepscope):
     assert sweepscope("home", "--wait")[0] == 0 and rig.status()["position_steps"] == 0
 
 
+@pytest.mark.parametrize("time_scale", [1.0])
 def test_a_move_that_is_stopped_while_it_is_waited_for_is_status_1(rig, sweepscope, monkeypatch):
     import tui.client.wait
 
@@ -48,7 +54,6 @@ def test_a_move_that_is_stopped_while_it_is_waited_for_is_status_1(rig, sweepsco
 
     until_rest = tui.client.wait.until_rest
     monkeypatch.setattr(tui.client.wait, "until_rest", stop_it)
-    monkeypatch.setattr(rig.daemon.rig.stage, "_time_scale", 1.0)
     status, _, complaint = sweepscope("goto", "4000", "--wait")
     assert status == 1 and "goto: the stage stopped at" in complaint and complaint.count("\n") == 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,7 @@ from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
 from acquire.stages.protocol import Alarm, StageInfo, StageStatus
 from acquire.sweep.events import WriterReady
+from tests.unit.rig_in_process import AdjustableClock
 
 NOW_NS = 10**15
 
@@ -103,9 +105,21 @@ def test_no_scan_begins_while_the_camera_is_away(daemon):
     assert serve(daemon, "scan", name="test", purpose="raw")["expected"]
 
 
-def test_a_scan_whose_folder_vanished_ends_without_taking_the_daemon_along(running):
-    shutil.rmtree(running.prepared.folder)
-    running.close()
+def test_a_scan_whose_folder_vanished_ends_and_the_next_one_begins(start_rig):
+    clock = AdjustableClock()
+    rig = start_rig(clock=clock)
+    clock.freeze()  # the writer, which there is none of, is waited for
+    folder = Path(rig.ask("scan", purpose="raw")["path"])
+
+    def gone() -> bool:
+        shutil.rmtree(folder, ignore_errors=True)  # the ground truth may be written meanwhile
+        return not folder.exists()
+
+    rig.until_true(gone, "the folder vanishes")
+    clock.thaw()
+    status = rig.until(lambda now: now["state"] == "idle", "the scan is over")
+    assert [fault["code"] for fault in status["faults"]] == ["F05"]
+    assert rig.ask("scan", purpose="raw")["expected"] == status["expected"]
 
 
 def test_a_disk_that_fails_under_a_request_is_an_answer_and_not_the_end(start_rig, monkeypatch):

@@ -46,9 +46,29 @@ def test_without_a_watchdog_for_us_no_sign_of_life_is_sent(manager: socket.socke
         manager.recv(100)
 
 
-@pytest.mark.parametrize("address", ["", "/nonexistent/notify", "@nobody-listens-here"])
-def test_where_nobody_listens_nothing_happens(address: str) -> None:
+@pytest.mark.parametrize("name", ["notify", "@sweepscope-test-{pid}"])
+def test_a_manager_that_listens_later_is_told_then_and_its_absence_harms_nothing(run_dir: Path, name: str) -> None:
+    address = name.format(pid=os.getpid()) if name.startswith("@") else str(run_dir / name)
     notifier = Notifier({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000000"})
+    notifier.ready("too early")
+    notifier.alive()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(address.replace("@", "\0"))
+        listener.settimeout(0.2)
+        notifier.stopping()
+        assert listener.recv(100) == b"STOPPING=1"
+
+
+def test_a_manager_that_does_not_read_holds_no_service_up(manager: socket.socket) -> None:
+    notifier = Notifier(environ(manager))
+    for _ in range(10_000):  # more than a socket's queue takes
+        notifier.stopping()
+    assert manager.recv(100) == b"STOPPING=1"
+
+
+def test_without_systemd_nothing_is_sent(manager: socket.socket) -> None:
+    notifier = Notifier({})
     notifier.ready("x")
     notifier.alive()
-    notifier.stopping()
+    with pytest.raises(TimeoutError):
+        manager.recv(100)
