@@ -87,7 +87,7 @@ def console(
     config = context.obj.config()  # an invalid rig.toml is reported before the screen is drawn
     settled = choose_colours(colours)
     from tui.console.app import run_console
-    from tui.console.start_options import options_for
+    from tui.console.options import options_for
 
     options = options_for(
         config,

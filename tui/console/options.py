@@ -1,37 +1,14 @@
-"""How a console is started, and what it needs of its connection."""
+"""How a console is started: from the command line, the configuration and the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
 
-from textual.message import Message
-
-from tui.console.link.messages import CommandAnswered
-from tui.console.state.scan_draft import Draft
-
-
-class Link(Protocol):
-    """What the console needs of its connection."""
-
-    def start(self) -> None:
-        """Begin to listen."""
-
-    def close(self) -> None:
-        """End."""
-
-    def send(self, name: str, /, **args: Any) -> str:
-        """Send a command without waiting; returns its request id."""
-
-    def want_pictures(self, wanted: bool) -> None:
-        """Listen to camera pictures, or no longer."""
-
-
-LinkMaker = Callable[[Callable[[Message], Any]], Link]
-"""Makes a connection that posts to the given function."""
-OnAnswer = Callable[[CommandAnswered], None]
+from acquire.contract.config.load import LoadedConfig
+from tui.client.client_name import my_name, user_name
+from tui.console.state.scan_draft import ScanDraft
 
 
 @dataclass(frozen=True)
@@ -40,20 +17,45 @@ class ConsoleOptions:
 
     ascii_only: bool = False
     read_only: bool = False
-    """Look, but have no action that moves or changes the rig; STOP stays."""
+    """No action moves or changes the rig; STOP stays."""
     owns_rig: bool = False
-    """The services end with this program, so leaving during a sweep is asked about."""
+    """The services end with this program, so leaving during a sweep asks first."""
     me: str = ""
     """This console's name on the rig: ``anna on pts/3``."""
     screen: str = "scan"
     """The screen that is shown first."""
-    draft: Draft = field(default_factory=Draft)
+    draft: ScanDraft = field(default_factory=ScanDraft)
     """What the next scan starts from."""
     keymap: Mapping[str, str] = field(default_factory=dict)
+    """The operator's own keys by binding id."""
     data_dir: Path = field(default_factory=lambda: Path("~/sweepscope-scans").expanduser())
     """Folder of all scans."""
     theme: str = "sweepscope-dark"
     mouse: bool = False
-    """Let the mouse press what can be pressed; off by default: a line that drops leaves its reports on."""
+    """Keys, screens and lists can be clicked; off by default: a lost link would leave the terminal reporting."""
     picture: str = "half"
     """``half``, ``mono`` or ``off``."""
+
+
+def options_for(
+    config: LoadedConfig,
+    *,
+    ascii_only: bool = False,
+    read_only: bool = False,
+    owns_rig: bool = False,
+    mouse: bool = False,
+    picture: str = "half",
+    theme: str = "sweepscope-dark",
+) -> ConsoleOptions:
+    """The options of this user's console on the rig of ``config``."""
+    return ConsoleOptions(
+        ascii_only=ascii_only,
+        read_only=read_only,
+        owns_rig=owns_rig,
+        me=my_name(),
+        draft=ScanDraft.of_config(config.rig, operator=user_name()),
+        mouse=mouse,
+        picture=picture,
+        theme=theme,
+        data_dir=config.data_dir,
+    )

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from acquire.contract.errors import EXIT_FAILED, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
@@ -24,15 +23,15 @@ from tui.demo.report import DemoVerdict, is_final, report_of
 from tui.demo.rig import DemoOptions, DemoRig
 from tui.processes.all_services import SERVICES, read_url, say, signals_set
 
-if TYPE_CHECKING:
-    from tui.console.app import ConsoleApp
-
 READY_S = 240.0
 """Longest wait for the services; the first start on a machine compiles the fold, and the machine may be slow."""
 HOMING_S = 60.0
 RESULTS_S = 120.0
 """Longest wait for maps and cloud after the end of the sweep."""
 POLL_S = 0.1
+
+Log = Callable[[str, str], None]
+"""Takes a line and its level (``info``, ``warning`` or ``error``), from any thread."""
 
 
 class CancelledError(SweepscopeError):
@@ -169,13 +168,13 @@ def _complain(text: str) -> None:
 def _run_on_terminal(options: DemoOptions) -> int:
     picture = picture_mode(choose_colours("auto"), ascii_only=False)
     from tui.console.app import run_console
-    from tui.console.start_options import options_for
+    from tui.console.options import options_for
 
     background: _DemoThread | None = None
 
-    def begin(app: ConsoleApp) -> None:
+    def begin(log: Log) -> None:
         nonlocal background
-        background = _DemoThread(rig, app)
+        background = _DemoThread(rig, log)
 
     # nothing is printed before the console starts: stderr is where it draws
     with DemoRig(options, lambda _text: None) as rig:
@@ -202,11 +201,11 @@ def _after_console(background: _DemoThread, status: int) -> int:
 class _DemoThread:
     """Runs the demonstration while the console is open; its steps appear in the console's log."""
 
-    def __init__(self, rig: DemoRig, app: ConsoleApp) -> None:
-        self._app = app
+    def __init__(self, rig: DemoRig, log: Log) -> None:
+        self._log = log
         self.error: SweepscopeError | None = None
-        self.demonstration = Demonstration(rig, self._note)
-        rig.supervisor.say = lambda text: self._note(text, "warning")
+        self.demonstration = Demonstration(rig, lambda text: log(text, "info"))
+        rig.supervisor.say = lambda text: log(text, "warning")
         self._thread = threading.Thread(target=self._run, name="demonstration", daemon=True)
         self._thread.start()
 
@@ -215,11 +214,6 @@ class _DemoThread:
         self.demonstration.cancelled.set()
         self._thread.join()
 
-    def _note(self, text: str, level: str = "info") -> None:
-        from tui.console.link.messages import Note
-
-        self._app.post_message(Note(text, level))
-
     def _run(self) -> None:
         try:
             verdict = self.demonstration.run()
@@ -227,7 +221,7 @@ class _DemoThread:
             return
         except SweepscopeError as error:
             self.error = error
-            self._note(str(error), "error")
+            self._log(str(error), "error")
             return
         for line in verdict.findings():
-            self._note(line)
+            self._log(line, "info")

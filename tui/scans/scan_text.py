@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from tui.processes.child_jobs import Job
 from tui.scans.folder import ScanEntry
 
 
@@ -38,14 +37,17 @@ def copy_words(result: dict[str, Any]) -> str:
     return f"in {result.get('to')}, {result.get('files')} files verified by checksum"
 
 
-def why_not_now(action: str, entry: ScanEntry, job: Job | None) -> str:
-    """Why the scans screen cannot do ``action`` with a scan on which ``job`` works; empty if it can."""
+def why_not_now(action: str, entry: ScanEntry, work: str) -> str:
+    """Why the scans screen cannot do ``action`` with a scan now; empty if it can.
+
+    ``work`` is what works on the scan (``verify``), empty for nothing.
+    """
     if action == "cancel":
-        return "" if job else "nothing works on this scan"
+        return "" if work else "nothing works on this scan"
     if entry.state == "running":
         return "a sweep runs into this scan"
-    if job is not None and action != "open":
-        return f"{job.title.split()[0]} works on it: wait, or x cancels"
+    if work and action != "open":
+        return f"{work} works on it: wait, or x cancels"
     return _why_not_in_state(action, entry)
 
 

@@ -1,4 +1,4 @@
-"""The rig's state in words and signs, the same on every screen and in every print; pure."""
+"""The rig's state in words and signs, the same on every screen and in every printed line; pure."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from acquire.contract.messaging.messages import FaultReport, ResultProgress, Sta
 from acquire.contract.states import RUNNING_STATES, Outcome, State, outcome_words, sign_of
 from acquire.contract.units import format_duration
 
-MOVING_STATES = RUNNING_STATES | {State.HOMING, State.MOVING, State.PREVIEW}
-
 
 def state_words(status: Status) -> str:
     """``HOLDING (paused)``."""
@@ -18,7 +16,7 @@ def state_words(status: Status) -> str:
 
 
 def is_running(status: Status | None) -> bool:
-    """True while a sweep is under way."""
+    """True while a sweep runs."""
     return status is not None and status.state in RUNNING_STATES
 
 
@@ -34,7 +32,7 @@ def scan_name(status: Status) -> str:
 
 
 def outcome_line(status: Status) -> str:
-    """How the last scan ended; empty before the first, and until the daemon has let go of the sealed file."""
+    """How the last scan ended; empty before the first, and until the daemon has closed the sealed file."""
     if status.outcome in ("", Outcome.RUNNING) or is_running(status):
         return ""
     words = outcome_words(status.outcome, status.committed, status.expected)
@@ -48,41 +46,32 @@ def fraction_done(status: Status) -> float:
     return min(1.0, status.committed / status.expected) if status.expected else 0.0
 
 
-def bar(fraction: float, width: int, *, ascii_only: bool = False) -> str:
+def bar(fraction: float, width: int) -> str:
     """A progress bar of ``width`` characters."""
-    full, empty = ("#", "-") if ascii_only else ("█", "░")
     filled = round(max(0.0, min(1.0, fraction)) * width)
-    return full * filled + empty * (width - filled)
+    return "█" * filled + "░" * (width - filled)
 
 
 def rate_words(status: Status) -> str:
-    """``14.8 frames/s  remaining 0:00:07``; the time is not guessed while nothing moves."""
+    """``14.8 frames/s  remaining 0:00:07``; no time is given while the sweep holds."""
     eta_s = status.eta_s if status.state == State.SWEEPING else None
     return f"{status.rate_hz:.1f} frames/s  remaining {format_duration(eta_s)}"
 
 
 def credit_words(status: Status) -> str:
     """``credit 37 of 120 frames``."""
-    writer = "" if status.writer_alive else "  writer away"
+    writer = "" if status.writer_alive else "  no writer"
     return f"credit {status.credit} of {status.window} frames{writer}"
 
 
-def worker_words(progress: ResultProgress | None) -> str:
-    """How far the worker is behind and how many points there are."""
-    if progress is None:
-        return "worker: nothing heard yet"
-    points = f"{progress.points_settled} points settled, {progress.points_provisional} provisional"
-    return f"worker {progress.lag_frames} frames behind  {points}"
-
-
 def newest_fault(faults: Sequence[FaultReport]) -> FaultReport | None:
-    """The fault that a banner shows: the newest that nobody has acknowledged."""
+    """The newest fault that is not acknowledged: the one that a banner shows."""
     waiting = [fault for fault in faults if not fault.acknowledged]
     return max(waiting, key=lambda fault: fault.at_mono_ns) if waiting else None
 
 
 def progress_line(status: Status, progress: ResultProgress | None = None) -> str:
-    """One line for a log: state, frames, rate, remaining time, and points where the worker was heard."""
+    """One line for a log: state, frames, rate, remaining time, and points once the worker has reported some."""
     percent = f"{100 * fraction_done(status):.0f} %"
     found = progress.points_settled + progress.points_provisional if progress else 0
     points = f"  {found} points" if found else ""
@@ -91,7 +80,7 @@ def progress_line(status: Status, progress: ResultProgress | None = None) -> str
 
 
 def status_lines(status: Status) -> list[str]:
-    """The whole state for a person who typed `sweepscope status`."""
+    """The whole state, as `sweepscope status` prints it."""
     devices = f"{status.stage_kind or 'no'} stage, {status.camera_kind or 'no'} camera, lamp {_on(status.lamp_on)}"
     lines = [f"{sign_of(status.state).glyph} {state_words(status)}  {devices}", f"position  {position_words(status)}"]
     if status.activity:

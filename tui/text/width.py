@@ -1,22 +1,20 @@
-"""Cuts and pads text to a width in terminal cells; pure."""
+"""Text of a given width in terminal cells; wide characters (CJK, emoji) take two; pure."""
 
 from __future__ import annotations
 
+from rich.cells import cell_len, set_cell_size
+
 
 def shorten(text: str, width: int) -> str:
-    """``text`` in at most ``width`` cells; the middle of a longer one gives way to three dots."""
-    if len(text) <= width:
+    """``text`` in at most ``width`` cells; the middle of a longer text is replaced by three dots."""
+    if cell_len(text) <= width:
         return text
+    tail = max(0, (width - 3) // 2)
     if width <= 3:
-        return text[:width]
-    tail = (width - 3) // 2
-    return text[: width - 3 - tail] + "..." + (text[-tail:] if tail else "")
+        return set_cell_size(text, width)
+    return set_cell_size(text, width - 3 - tail) + "..." + set_cell_size(text[::-1], tail)[::-1]
 
 
-def spread(left: str, right: str, width: int) -> str:
-    """``left`` and ``right`` at the two ends of a line of ``width`` cells; the left one is shortened first."""
-    room = width - len(right) - 2
-    if room <= 0:
-        return shorten(right, width)
-    left = shorten(left, room)
-    return left + " " * (width - len(left) - len(right)) + right
+def padded(text: str, width: int) -> str:
+    """``text`` shortened to less than ``width`` cells and filled with spaces, for the column of a table."""
+    return set_cell_size(shorten(text, width - 1), width)

@@ -1,6 +1,6 @@
-"""The child that looks for the board in the preview: runs while it is wanted, and what it said is kept.
+"""The child process that looks for the board in the preview: runs while it is wanted; its newest report is kept.
 
-A child that ended by itself is not started again at once, and its last words stand until the next one speaks.
+A child that ended by itself is not started again at once, and its last words are shown until the next one reports.
 """
 
 from __future__ import annotations
@@ -9,52 +9,51 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from tui.console.job_runner import JobDesk
-from tui.processes.child_jobs import Job
+from tui.console.jobs import Job, Jobs
 
 SUBJECT = "board"
 AGAIN_S, CANCELLED_S = 5.0, 0.5
-"""A child that ended by itself, or was asked to, is not started again before."""
+"""Delay before the next start after a child ended by itself, or was cancelled."""
 
 
 class BoardWatch:
-    """At most one child; ``on_facts`` is called from its thread with each object that it prints."""
+    """At most one child; ``on_change`` is called after each of its reports."""
 
-    def __init__(self, jobs: Callable[[], JobDesk], on_facts: Callable[[dict[str, Any]], Any]) -> None:
-        """``jobs``: the desk of the console, asked for when it is needed."""
-        self._jobs, self._on_facts = jobs, on_facts
+    def __init__(self, jobs: Jobs, on_change: Callable[[], Any]) -> None:
+        self._jobs, self._on_change = jobs, on_change
         self._child: Job | None = None
         self._again_s = 0.0
         self._words = ""
         self.facts: dict[str, Any] = {}
-        """The newest that is known: views, coverage, advice, the board as it lies (``live``)."""
+        """The newest report: views, coverage, advice, the board as it lies (``live``)."""
 
     def follow(self, command: Sequence[str], *, wanted: bool) -> None:
-        """Start the child where it is wanted and none runs, or end it."""
+        """Start the child if it is wanted and does not run, or cancel it."""
         if not wanted:
             self.stop()
         elif self._child is None and time.monotonic() >= self._again_s:
             self._words = ""
-            self._child = self._jobs().start(
-                "look for the board", command, SUBJECT, self._ended, on_result=self._on_facts, quiet=True
+            self._child = self._jobs.start(
+                "look for the board", command, SUBJECT, self._ended, on_result=self._take, quiet=True
             )
             if self._child is None:
-                self._again_s = time.monotonic() + AGAIN_S  # why was said; not again at each repaint
+                self._again_s = time.monotonic() + AGAIN_S  # the reason was logged; not again with each repaint
 
     def stop(self) -> None:
-        """Nobody looks: nothing is looked for."""
+        """Cancel the child."""
         if self._child is not None:
-            self._jobs().cancel(self._child)
+            self._jobs.cancel(self._child)
             self._child, self._again_s = None, time.monotonic() + CANCELLED_S
 
     def begin_anew(self) -> None:
-        """What was seen so far is of another board, or other views."""
+        """Drop what is known: it is of another board, or of other views."""
         self.facts = {}
         self.stop()
 
-    def take(self, facts: dict[str, Any]) -> None:
-        """What the child found; where it looked at the views only, the board lies as before."""
+    def _take(self, facts: dict[str, Any]) -> None:
+        # a report on the views alone has no ``live``: the board lies as before
         self.facts = {**facts, "live": facts.get("live") or self.facts.get("live")}
+        self._on_change()
 
     @property
     def live(self) -> dict[str, Any]:
@@ -67,7 +66,7 @@ class BoardWatch:
         return self._words or str(self.live.get("words") or "") or waiting
 
     def _ended(self, job: Job) -> None:
-        if self._child is not None and self._child.number == job.number:
+        if job is self._child:
             self._child = None
         if not job.cancelled:
             self._again_s, self._words = time.monotonic() + AGAIN_S, job.words

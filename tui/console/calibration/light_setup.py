@@ -1,6 +1,6 @@
-"""Brings the light over the board, then has the exposure searched there: after a sweep the stage may stand anywhere.
+"""Moves the light over the board, then searches the exposure there: after a sweep the stage may be anywhere.
 
-Pure: what the rig says in, commands out. A STOP, a stage that rests elsewhere, or too long a wait ends it.
+Pure: status in, commands out. A STOP, a stage that rests elsewhere, or a time-out ends it.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from typing import Any
 from acquire.contract.messaging.messages import Status
 from acquire.contract.states import State
 
-Command = tuple[str, dict[str, Any]]
+CommandCall = tuple[str, dict[str, Any]]
+"""A command's name and arguments."""
 MOVE_S = 60.0
-"""A move that takes longer is not waited for."""
+"""Time-out of the move."""
 
 
-class BringLight:
+class LightSetup:
     """One search at a time."""
 
     def __init__(self) -> None:
@@ -23,20 +24,20 @@ class BringLight:
         self._until_s = 0.0
         self._moved = False
 
-    def begin(self, target_steps: int, status: Status, now_s: float) -> list[Command]:
-        """The first commands: the lamp where it is off, and a move, or the search at once where the light stands."""
-        lamp: list[Command] = [] if status.lamp_on else [("lamp", {"on": True})]
+    def begin(self, target_steps: int, status: Status, now_s: float) -> list[CommandCall]:
+        """The first commands: the lamp if it is off, then the move, or the search if the light is there already."""
+        lamp: list[CommandCall] = [] if status.lamp_on else [("lamp", {"on": True})]
         if status.position_steps == target_steps:
             return [*lamp, ("expose", {})]
         self._target, self._until_s, self._moved = target_steps, now_s + MOVE_S, False
         return [*lamp, ("goto", {"position_steps": target_steps})]
 
     def forget(self) -> None:
-        """The move was refused, or stopped, or nobody looks any more."""
+        """The move was refused, or the screen was left."""
         self._target = None
 
-    def heard(self, status: Status, now_s: float, *, stopped: bool) -> list[Command]:
-        """A status came: the search, if the light is there."""
+    def take_status(self, status: Status, now_s: float, *, stopped: bool) -> list[CommandCall]:
+        """The search, once the light is there."""
         if self._target is None:
             return []
         if stopped or now_s > self._until_s:

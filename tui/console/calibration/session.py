@@ -1,4 +1,4 @@
-"""One calibration as files: a folder with its board, its views and what came of them; it can be left and resumed."""
+"""One calibration as files: a folder with its board, its views and its results; it can be left and resumed."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ BOARD_NAME = "board.json"
 RESULT_NAME = "calibration.json"
 
 
-class BoardWords(msgspec.Struct, frozen=True):
-    """The pattern as people describe it."""
+class BoardPattern(msgspec.Struct, frozen=True):
+    """The pattern of the board."""
 
     columns: Annotated[int, Meta(ge=3, le=200)] = 16
     """Squares, or dots, along the longer side."""
@@ -31,7 +31,7 @@ class BoardWords(msgspec.Struct, frozen=True):
 
     @property
     def arguments(self) -> list[str]:
-        """For the calibration commands."""
+        """Options of the calibration commands."""
         return ["--squares", f"{self.columns}x{self.rows}", "--square-mm", f"{self.square_mm:g}"]
 
     def words(self) -> str:
@@ -39,11 +39,11 @@ class BoardWords(msgspec.Struct, frozen=True):
         return f"{self.kind} {self.columns} x {self.rows}, {self.square_mm:g} mm"
 
 
-def parse_board(texts: dict[str, str]) -> BoardWords:
+def parse_board(texts: dict[str, str]) -> BoardPattern:
     """A board from the fields ``squares`` (CxR), ``square_mm``, ``kind``.
 
     Raises:
-        ValueError: in words.
+        ValueError: a field is not valid.
     """
     columns, _, rows = texts["squares"].lower().partition("x")
     try:
@@ -53,7 +53,7 @@ def parse_board(texts: dict[str, str]) -> BoardWords:
             "square_mm": float(texts["square_mm"].replace(",", ".")),
             "kind": texts["kind"],
         }
-        return msgspec.convert(fields, BoardWords)
+        return msgspec.convert(fields, BoardPattern)
     except (ValueError, msgspec.ValidationError):
         raise ValueError(
             "give squares as 16x13 (3 to 200 each), a size in mm, and chessboard, charuco or dots"
@@ -61,7 +61,7 @@ def parse_board(texts: dict[str, str]) -> BoardWords:
 
 
 class CalibrationSession:
-    """The newest folder of ``<data_dir>/calibration``, or a new one as soon as something is kept."""
+    """The newest folder of ``<data_dir>/calibration``, or a new one as soon as something is saved."""
 
     def __init__(self, data_dir: Path) -> None:
         self._root = data_dir / FOLDER_NAME
@@ -82,14 +82,14 @@ class CalibrationSession:
         """An empty folder with the same board; the one before stays."""
         self.folder = self._fresh()
 
-    def _read_board(self) -> BoardWords:
+    def _read_board(self) -> BoardPattern:
         try:
-            return msgspec.json.decode((self.folder / BOARD_NAME).read_bytes(), type=BoardWords)
+            return msgspec.json.decode((self.folder / BOARD_NAME).read_bytes(), type=BoardPattern)
         except (OSError, msgspec.MsgspecError):
-            return BoardWords()
+            return BoardPattern()
 
-    def keep_board(self, board: BoardWords) -> None:
-        """Write the board down.
+    def save_board(self, board: BoardPattern) -> None:
+        """Write the board to its file.
 
         Raises:
             CalibrationError: the folder cannot be written to.
@@ -98,7 +98,7 @@ class CalibrationSession:
             self.folder.mkdir(parents=True, exist_ok=True)
             replace_file(self.folder / BOARD_NAME, msgspec.json.encode(board) + b"\n")
         except OSError as error:
-            raise CalibrationError(f"cannot write {self.folder}: {error.strerror}; the board is not kept") from None
+            raise CalibrationError(f"cannot write {self.folder}: {error.strerror}; the board is not saved") from None
         self.board = board
 
     @property
@@ -107,7 +107,7 @@ class CalibrationSession:
         return sorted(path for path in self.folder.glob("view-*.png") if path.is_file())
 
     def next_view(self) -> Path:
-        """Where the next view goes."""
+        """File of the next view."""
         numbers = [int(path.stem[5:]) for path in self.views if path.stem[5:].isdigit()]
         return self.folder / f"view-{max(numbers, default=0) + 1:02d}.png"
 
@@ -128,31 +128,27 @@ class CalibrationSession:
 
     @property
     def result(self) -> Path:
-        """Where calibration.json of this session goes."""
+        """calibration.json of this session."""
         return self.folder / RESULT_NAME
 
     def watch_command(self) -> list[str]:
-        """Arguments that look for the board in the preview, and judge the views."""
+        """Arguments of the command that looks for the board in the preview and judges the views."""
         options = ["--kind", self.board.kind, "--views", str(self.folder), "--json"]
         return ["calibrate", "watch", *self.board.arguments, *options]
 
     def camera_command(self, stage_view: str) -> list[str]:
-        """Arguments that calibrate the camera with all views; ``stage_view`` (or empty) makes z = 0."""
+        """Arguments of the command that calibrates the camera with all views; ``stage_view`` (or empty) makes z = 0."""
         stage = ["--stage", stage_view] if stage_view else []
         options = ["--kind", self.board.kind, "--out", str(self.result), "--force", "--json"]
         return ["calibrate", "camera", *map(str, self.views), *self.board.arguments, *stage, *options]
 
     def plane_command(self, scans: Sequence[Path]) -> list[str]:
-        """Arguments that calibrate the light plane with these sweeps."""
+        """Arguments of the command that calibrates the light plane with these sweeps."""
         options = ["--camera", str(self.result), "--out", str(self.result), "--json"]
         return ["calibrate", "plane", *map(str, scans), *self.board.arguments, *options]
 
-    def document(self) -> dict[str, Any]:
-        """The calibration of this session; empty while there is none."""
-        return read_object(self.result)
-
     def document_before(self) -> dict[str, Any]:
-        """That of the newest other session that has one, to compare with; empty where there is none."""
+        """The calibration of the newest other session that has one, to compare with; empty where there is none."""
         try:
             folders = sorted(self._root.iterdir(), reverse=True)
         except OSError:

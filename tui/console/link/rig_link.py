@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import zmq
-from textual.message import Message as UiMessage
 
 from acquire.contract.errors import NoServiceError, ProtocolError, SweepscopeError
 from acquire.contract.messaging.lanes import Received, Sender, arrived, connect
@@ -31,6 +30,7 @@ from tui.console.link.messages import (
     ProgressArrived,
     ResultsOnDisk,
     StatusArrived,
+    Updates,
 )
 from tui.console.link.rig_view import MapsView, PictureView
 from tui.console.link.update_queue import UpdateQueue
@@ -54,7 +54,7 @@ class RigLink:
 
     def __init__(
         self,
-        post: Callable[[UiMessage], Any],
+        post: Callable[[Updates], Any],
         *,
         run_dir: Path | None = None,
         command_timeout_s: float = 5.0,

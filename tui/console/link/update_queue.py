@@ -11,9 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from textual.message import Message as UiMessage
-
-from tui.console.link.messages import Updates
+from tui.console.link.messages import Update, Updates
 
 PAINT_S = 0.1
 """Least time between two bundles; of what came between, the newest is shown. A new state does not wait."""
@@ -24,20 +22,20 @@ MAX_TOLD = 1000
 class UpdateQueue:
     """Belongs to one thread; only ``taken`` is called from the screen's."""
 
-    def __init__(self, post: Callable[[UiMessage], Any], wake: Callable[[], None]) -> None:
+    def __init__(self, post: Callable[[Updates], Any], wake: Callable[[], None]) -> None:
         """``post`` may be called from any thread; ``wake`` is called from the screen's when a bundle was taken."""
         self._post, self._wake = post, wake
-        self._newest: dict[str, UiMessage] = {}
-        self._told: deque[UiMessage] = deque(maxlen=MAX_TOLD)
+        self._newest: dict[str, Update] = {}
+        self._told: deque[Update] = deque(maxlen=MAX_TOLD)
         self._unseen = threading.Event()
         self._urgent = False
         self._painted_at_s = 0.0
 
-    def tell(self, message: UiMessage) -> None:
+    def tell(self, message: Update) -> None:
         """One more message, after those before it."""
         self._told.append(message)
 
-    def show(self, kind: str, message: UiMessage, *, urgent: bool = False) -> None:
+    def show(self, kind: str, message: Update, *, urgent: bool = False) -> None:
         """The newest of its kind replaces the one before; an urgent one does not wait for ``PAINT_S``."""
         self._newest[kind] = message
         self._urgent |= urgent

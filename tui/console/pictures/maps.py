@@ -1,4 +1,4 @@
-"""The four maps of a scan as people look at them: mask and counts for a contrast, zoom, values under a cursor; pure."""
+"""The four maps of a scan as they are shown: mask and counts for a contrast, zoom, values under a cursor; pure."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from acquire.contract.colormaps import MapName
 
 F4 = NDArray[np.float32]
 MEDIAN_PX = 5
-"""Side of the median on the mask where nothing else is said."""
-MOST_ZOOM = 64
+"""Default side of the median filter on the mask."""
+MAX_ZOOM = 64
 
 
-class Quantity(StrEnum):
-    """What a map shows."""
+class MapKind(StrEnum):
+    """The four maps."""
 
     MINIMUM = "minimum"
     MAXIMUM = "maximum"
@@ -39,14 +39,14 @@ class MapSet:
     step: int
     """Distance of the samples in pixels of the camera."""
     contrast: int
-    """Counts of 8 bit over which crossings were estimated: below it nothing is known of them."""
+    """ThresholdCounts of 8 bit over which crossings were estimated: below it nothing is known of them."""
     bit_depth: int
     folded_through: int
-    """Last frame in it; -1 for none."""
+    """Index of the last folded frame; -1 for none."""
     frames: int
-    """Frames of the sweep; 0 where that is not known."""
+    """Frames of the sweep; 0 where unknown."""
     median_px: int = MEDIAN_PX
-    """Side of the median on the mask in pixels of the camera; 0 for none."""
+    """Side of the median filter on the mask in pixels of the camera; 0 for none."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -55,20 +55,20 @@ class MapSet:
 
     @property
     def unit(self) -> int:
-        """Counts of the stored depth in one count of 8 bit."""
+        """ThresholdCounts of the stored depth in one count of 8 bit."""
         return int(2 ** (self.bit_depth - 8))
 
 
 @dataclass(frozen=True)
-class Counts:
-    """What a threshold does, in pixels of the camera; sampled maps count each sample for all its pixels."""
+class ThresholdCounts:
+    """What a threshold leaves, in pixels of the camera; a sample of sampled maps counts for all pixels around it."""
 
     over_contrast: int
     with_crossing: int
     share: float
-    """Of the picture that is over the contrast, 0..1."""
+    """Share of the picture over the contrast, 0..1."""
     exact: bool
-    """False: samples stand for their neighbours, or crossings below the threshold of the fold are not known."""
+    """False: samples stand for their neighbours, or the contrast is below the threshold of the fold."""
 
 
 def mask_of(maps: MapSet, contrast: int) -> NDArray[np.bool_]:
@@ -83,7 +83,8 @@ def _odd(side: float) -> int:
 
 
 def _majority(mask: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
-    """The median of a mask in squares of ``side``; at the border the outermost samples are repeated."""
+    """The median filter of a mask in squares of ``side``; at the border the outermost samples are repeated."""
+    # sums over the squares from the summed-area table
     half = side // 2
     padded = np.pad(mask, half, mode="edge").astype(np.int32)
     sums = np.zeros((padded.shape[0] + 1, padded.shape[1] + 1), np.int32)
@@ -92,13 +93,13 @@ def _majority(mask: NDArray[np.bool_], side: int) -> NDArray[np.bool_]:
     return box > side * side // 2
 
 
-def counts_of(maps: MapSet, mask: NDArray[np.bool_], contrast: int) -> Counts:
-    """What a mask made with ``contrast`` leaves."""
+def counts_of(maps: MapSet, mask: NDArray[np.bool_], contrast: int) -> ThresholdCounts:
+    """Counts of a mask that was made with ``contrast``."""
     pixels = maps.step * maps.step
     over = int(np.count_nonzero(mask))
     crossing = int(np.count_nonzero(mask & np.isfinite(maps.crossing)))
     exact = maps.step == 1 and contrast >= maps.contrast
-    return Counts(over * pixels, crossing * pixels, over / max(1, mask.size), exact)
+    return ThresholdCounts(over * pixels, crossing * pixels, over / max(1, mask.size), exact)
 
 
 def histogram(maps: MapSet, bins: int) -> NDArray[np.int64]:
@@ -108,10 +109,10 @@ def histogram(maps: MapSet, bins: int) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Layer:
-    """One map ready to be drawn."""
+class MapLayer:
+    """One map, ready to be drawn."""
 
-    quantity: Quantity
+    kind: MapKind
     values: F4
     """[h, w]; NaN where there is none."""
     low: float
@@ -122,28 +123,28 @@ class Layer:
     unit: str
 
 
-def layers_of(maps: MapSet, mask: NDArray[np.bool_]) -> tuple[Layer, Layer, Layer, Layer]:
+def layers_of(maps: MapSet, mask: NDArray[np.bool_]) -> tuple[MapLayer, MapLayer, MapLayer, MapLayer]:
     """The four maps with their ranges: intensities over the whole depth, crossings over the whole sweep."""
     full = float(2**maps.bit_depth - 1)
     last = float(max(maps.frames - 1, maps.folded_through, 1))
     crossing = np.where(mask, maps.crossing, np.float32(np.nan))
     return (
-        Layer(Quantity.MINIMUM, maps.minimum.astype(np.float32), 0.0, full, None, "counts"),
-        Layer(Quantity.MAXIMUM, maps.maximum.astype(np.float32), 0.0, full, None, "counts"),
-        Layer(Quantity.MASK, mask.astype(np.float32), 0.0, 1.0, None, ""),
-        Layer(Quantity.CROSSING, crossing, 0.0, last, "cividis", "frames"),
+        MapLayer(MapKind.MINIMUM, maps.minimum.astype(np.float32), 0.0, full, None, "counts"),
+        MapLayer(MapKind.MAXIMUM, maps.maximum.astype(np.float32), 0.0, full, None, "counts"),
+        MapLayer(MapKind.MASK, mask.astype(np.float32), 0.0, 1.0, None, ""),
+        MapLayer(MapKind.CROSSING, crossing, 0.0, last, "cividis", "frames"),
     )
 
 
 @dataclass(frozen=True)
-class Window:
-    """The part of the maps in view, in samples; the cursor is a sample in it."""
+class MapWindow:
+    """The visible part of the maps, in samples; the cursor is a sample in it."""
 
     rows: int
     columns: int
     """Size of the maps."""
     zoom: int = 1
-    """1 shows everything; doubled by each step."""
+    """1 shows everything; each step doubles it."""
     row: int = 0
     column: int = 0
     """The cursor."""
@@ -160,42 +161,42 @@ class Window:
         """Columns in view."""
         return max(1.0, self.columns / self.zoom)
 
-    def moved(self, down: int, right: int) -> Window:
+    def moved(self, down: int, right: int) -> MapWindow:
         """The cursor moved; what is in view follows it."""
         row = min(max(0, self.row + down), self.rows - 1)
         column = min(max(0, self.column + right), self.columns - 1)
         return replace(self, row=row, column=column)._following()
 
-    def zoomed(self, steps: int) -> Window:
+    def zoomed(self, steps: int) -> MapWindow:
         """Nearer (1) or further (-1), about the cursor."""
-        zoom = min(MOST_ZOOM, self.zoom * 2) if steps > 0 else max(1, self.zoom // 2)
+        zoom = min(MAX_ZOOM, self.zoom * 2) if steps > 0 else max(1, self.zoom // 2)
         found = replace(self, zoom=zoom)
         return replace(found, top=self.row + 0.5 - found.height / 2, left=self.column + 0.5 - found.width / 2)._inside()
 
     def stride(self, cells: int) -> int:
-        """How far a press of an arrow moves: about one cell of a map that is ``cells`` wide."""
+        """Samples per press of an arrow: about one cell of a map that is drawn ``cells`` wide."""
         return max(1, round(self.width / max(1, cells)))
 
-    def _following(self) -> Window:
+    def _following(self) -> MapWindow:
         top = min(max(self.top, self.row + 1 - self.height), float(self.row))
         left = min(max(self.left, self.column + 1 - self.width), float(self.column))
         return replace(self, top=top, left=left)._inside()
 
-    def _inside(self) -> Window:
+    def _inside(self) -> MapWindow:
         top = min(max(0.0, self.top), self.rows - self.height)
         return replace(self, top=top, left=min(max(0.0, self.left), self.columns - self.width))
 
 
-def window_on(maps: MapSet, before: Window | None = None) -> Window:
-    """A window on ``maps``: the one before if the size is the same, else all of them with the cursor in the middle."""
+def window_on(maps: MapSet, before: MapWindow | None = None) -> MapWindow:
+    """The window ``before`` if the maps have the same size, else one on all of them with the cursor in the middle."""
     rows, columns = maps.shape
     if before is not None and (before.rows, before.columns) == (rows, columns):
         return before
-    return Window(rows, columns, row=rows // 2, column=columns // 2)
+    return MapWindow(rows, columns, row=rows // 2, column=columns // 2)
 
 
-def cells_of(values: F4, window: Window, height: int, width: int) -> F4:
-    """Means of the values in view in ``height`` x ``width`` cells; NaN where a cell holds no value."""
+def cells_of(values: F4, window: MapWindow, height: int, width: int) -> F4:
+    """Means of the visible values in ``height`` x ``width`` cells; NaN where a cell contains no value."""
     rows = _edges(window.top, window.height, window.rows, height)
     columns = _edges(window.left, window.width, window.columns, width)
     part = values[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
@@ -206,7 +207,7 @@ def cells_of(values: F4, window: Window, height: int, width: int) -> F4:
 
 
 def _edges(start: float, extent: float, size: int, cells: int) -> NDArray[np.intp]:
-    """First sample of each cell, [cells], and the last sample in view at the end: [cells + 1]."""
+    """First sample of each cell, then the last visible sample: [cells + 1]."""
     first = np.floor(start + extent * np.arange(cells) / cells).astype(np.intp)
     return np.append(np.clip(first, 0, size - 1), min(size - 1, math.ceil(start + extent) - 1))
 
@@ -216,61 +217,33 @@ def _summed(array: NDArray[np.float64], rows: NDArray[np.intp], columns: NDArray
     return np.add.reduceat(by_row, columns[:-1] - columns[0], axis=1)
 
 
-def cell_of_cursor(window: Window, height: int, width: int) -> tuple[int, int]:
-    """Row and column of the cell that holds the cursor."""
+def cell_of_cursor(window: MapWindow, height: int, width: int) -> tuple[int, int]:
+    """Row and column of the cell that contains the cursor."""
     row = int((window.row + 0.5 - window.top) / window.height * height)
     column = int((window.column + 0.5 - window.left) / window.width * width)
     return min(max(0, row), height - 1), min(max(0, column), width - 1)
 
 
-def sample_at(window: Window, row: int, column: int, height: int, width: int) -> Window:
+def sample_at(window: MapWindow, row: int, column: int, height: int, width: int) -> MapWindow:
     """The window with the cursor on the sample in the middle of a cell."""
     found_row = int(window.top + (row + 0.5) / height * window.height)
     found_column = int(window.left + (column + 0.5) / width * window.width)
     return window.moved(found_row - window.row, found_column - window.column)
 
 
-@dataclass(frozen=True)
-class PixelValues:
-    """What one pixel holds."""
-
-    x_px: int
-    y_px: int
-    """In pixels of the camera, from the upper left one."""
-    minimum: int
-    maximum: int
-    contrast: float
-    """Counts of 8 bit."""
-    in_mask: bool
-    crossing: float
-    """Frame index; NaN where there is none."""
-
-    def words(self) -> str:
-        """One line."""
-        time = f"{self.crossing:.2f}" if math.isfinite(self.crossing) else "none"
-        side = "over" if self.in_mask else "under"
-        return (
-            f"x {self.x_px}  y {self.y_px}  min {self.minimum}  max {self.maximum}  "
-            f"contrast {self.contrast:.0f} ({side})  crossing {time}"
-        )
-
-
-def values_at(maps: MapSet, mask: NDArray[np.bool_], window: Window) -> PixelValues:
-    """The values under the cursor."""
+def pixel_words(maps: MapSet, mask: NDArray[np.bool_], window: MapWindow) -> str:
+    """The values under the cursor in one line; x and y in pixels of the camera from the upper left one."""
     place = (window.row, window.column)
     low, high = int(maps.minimum[place]), int(maps.maximum[place])
-    return PixelValues(
-        x_px=window.column * maps.step,
-        y_px=window.row * maps.step,
-        minimum=low,
-        maximum=high,
-        contrast=(high - low) / maps.unit,
-        in_mask=bool(mask[place]),
-        crossing=float(maps.crossing[place]) if mask[place] else math.nan,
+    inside, crossing = bool(mask[place]), float(maps.crossing[place])
+    return (
+        f"x {window.column * maps.step}  y {window.row * maps.step}  min {low}  max {high}  "
+        f"contrast {(high - low) / maps.unit:.0f} ({'over' if inside else 'under'})  "
+        f"crossing {f'{crossing:.2f}' if inside and math.isfinite(crossing) else 'none'}"
     )
 
 
 def picture_size(shape: tuple[int, int], width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of the largest picture with the sides of ``shape`` that fits into ``height`` x ``width``."""
+    """Rows and columns of the largest picture in ``height`` x ``width`` that keeps the ratio of ``shape``."""
     scale = min(height / shape[0], width / shape[1])
     return max(1, min(height, round(shape[0] * scale))), max(1, min(width, round(shape[1] * scale)))

@@ -1,4 +1,4 @@
-"""Maps for people to look at: those of a scan's maps.h5, bounded in memory, or those of the sweep so far."""
+"""Maps to be shown: from a scan's maps.h5, bounded in memory, or from the results lane while the sweep runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tui.console.link.rig_view import MapsView
 from tui.console.pictures.maps import MapSet
 
 MAX_SAMPLES = 1_000_000
-"""Larger maps are sampled, so that a new threshold shows within a blink; 1024 x 768 are whole."""
+"""Larger maps are sampled, so that a new threshold shows at once; 1024 x 768 are read whole."""
 
 
 def read_maps(folder: Path) -> MapSet:
@@ -56,7 +56,7 @@ def _of_scan(folder: Path) -> tuple[int, int]:
 
 
 def maps_of_sweep(found: MapsView, progress: ResultProgress | None) -> MapSet:
-    """The sampled maps of the results lane; the worker's progress tells how many frames there will be."""
+    """The sampled maps of the results lane; the number of frames is in the worker's progress."""
     header = found.header
     return MapSet(
         minimum=found.minimum,

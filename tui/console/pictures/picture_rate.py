@@ -1,22 +1,22 @@
-"""Decides when the next picture may go to the terminal and how fine it is, from what the link was seen to carry; pure.
+"""Decides when the next picture may go to the terminal and how fine it is, from the measured rate of the link; pure.
 
 One picture is under way at a time: the next waits until the terminal has answered for the last one, so a slow link
-never holds more than one. What one picture takes decides its detail, what the link carries decides its rate.
+never holds more than one. The time that a picture takes decides the detail, the rate of the link decides the rate.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tui.console.pictures.raster import STEPS_DOWN, Detail
+from tui.console.pictures.raster import DETAILS, PictureDetail
 
 TOO_LONG_S = 0.15
-"""A picture that holds the link longer is drawn coarser: a key's echo waits behind at most this."""
+"""A picture that holds the link longer is followed by coarser ones: a key's echo waits no longer than this."""
 SHORT_S = 0.03
 CALM_PICTURES = 8
-"""So many quick pictures in a row, and the next finer detail is tried."""
+"""After so many quick pictures in a row the next finer detail is tried."""
 BARRED_S = 20.0
-"""After a picture that was too long no finer detail is tried for so long."""
+"""After a picture that took too long no finer detail is tried for so long."""
 SHARE = 0.5
 """Pictures get at most this share of the link's time."""
 STALLED_S = 1.0
@@ -24,21 +24,25 @@ STALLED_S = 1.0
 DEAF_S = 3.0
 """A terminal that has not answered its first question for so long never answers any."""
 SMOOTH = 0.3
+"""Weight of the newest measurement in the running average of the link's rate."""
 BARE_BYTES = 2000
 """A question behind no more than this measures the link's own delay."""
 BARE_EVERY_S = 10.0
 
 
 @dataclass
-class Governor:
-    """Fed with times and bytes; all times are monotonic seconds."""
+class PictureRate:
+    """Takes times and bytes; all times are monotonic seconds."""
 
     wanted_hz: float = 5.0
-    """Pictures per second where nothing stands against it."""
+    """Pictures per second on a fast link."""
     base_s: float | None = None
-    """Round trip of a question behind nothing: the link's own delay, which no lower rate mends; None: not yet known."""
+    """Round trip of a question behind nothing: the link's own delay, which no lower rate shortens; None: not known."""
     rate_bytes_per_s: float | None = None
-    """What the link carries; None while nothing large enough was sent."""
+    """Rate of the link; None until something large enough was sent."""
+    deaf: bool = False
+    """True if the terminal answers no questions: then only our own queue is known."""
+    answers: int = 0
     _step: int = 0
     _calm: int = 0
     _next_s: float = float("-inf")
@@ -47,14 +51,11 @@ class Governor:
     _sent_s: list[float] = field(default_factory=list)
     _barred_until_s: float = float("-inf")
     _bare_s: float = float("-inf")
-    deaf: bool = False
-    """True if the terminal answers no questions: then only our own queue is known."""
-    answers: int = 0
 
     @property
-    def detail(self) -> Detail:
+    def detail(self) -> PictureDetail:
         """How fine the next picture is drawn."""
-        return STEPS_DOWN[self._step]
+        return DETAILS[self._step]
 
     @property
     def asking(self) -> bool:
@@ -68,12 +69,12 @@ class Governor:
         return known and self._asked_s is None and now_s >= self._next_s and not backlog_bytes
 
     def wants_bare(self, now_s: float) -> bool:
-        """True if the terminal should be asked now, with no picture before the question."""
+        """True if the terminal should be asked now without a picture before the question."""
         self._give_up(now_s)
         return not self.deaf and self._asked_s is None and now_s - self._bare_s > BARE_EVERY_S
 
     def asked(self, now_s: float, nbytes: int, *, picture: bool = True) -> None:
-        """A question was handed to the terminal, ``nbytes`` after the last one, of which most are a picture's."""
+        """A question was handed to the terminal, ``nbytes`` after the last one, most of them a picture's."""
         if picture:
             self._sent_s = [at_s for at_s in self._sent_s if now_s - at_s < 2.0] + [now_s]
             self._next_s = now_s + 1.0 / self.wanted_hz
@@ -83,7 +84,7 @@ class Governor:
             self._asked_s, self._asked_bytes = now_s, nbytes
 
     def answered(self, now_s: float) -> None:
-        """The terminal has shown everything up to the question."""
+        """The terminal has processed everything up to the question."""
         if self._asked_s is None:
             return
         took_s, self._asked_s = now_s - self._asked_s, None
@@ -102,7 +103,7 @@ class Governor:
 
     def _adapt(self, held_s: float, now_s: float) -> None:
         if held_s > TOO_LONG_S:
-            self._step = min(len(STEPS_DOWN) - 1, self._step + 1)
+            self._step = min(len(DETAILS) - 1, self._step + 1)
             self._calm, self._barred_until_s = 0, now_s + BARRED_S
         elif held_s < SHORT_S:
             self._calm += 1
@@ -116,18 +117,15 @@ class Governor:
             self.deaf, self._asked_s = True, None
 
     def stalled(self, now_s: float, blocked_s: float) -> bool:
-        """True while painting only adds to a queue: the last answer, or our own writing (``blocked_s``), is overdue."""
+        """True while painting would only fill a queue: the last answer, or our write (``blocked_s``), is overdue."""
         self._give_up(now_s)
         waiting_s = now_s - self._asked_s if self._asked_s is not None and self.answers else 0.0
         return max(waiting_s, blocked_s) > STALLED_S
 
-    def picture_hz(self, now_s: float) -> float:
-        """Pictures per second over the last two seconds."""
-        return sum(now_s - at_s < 2.0 for at_s in self._sent_s) / 2.0
-
     def words(self, now_s: float) -> str:
-        """``link 180 kB/s, picture 3 Hz``; what is not known is left out."""
-        hz = f"picture {self.picture_hz(now_s):.3g} Hz"
+        """``link 180 kB/s, picture 3 Hz``; unknown values are left out."""
+        sent = sum(now_s - at_s < 2.0 for at_s in self._sent_s)
+        words = f"picture {sent / 2.0:.3g} Hz"
         if self.rate_bytes_per_s is not None:
-            hz = f"link {self.rate_bytes_per_s / 1000:.0f} kB/s, {hz}"
-        return hz if not self._step else f"{hz}, coarser"
+            words = f"link {self.rate_bytes_per_s / 1000:.0f} kB/s, {words}"
+        return f"{words}, coarser" if self._step else words

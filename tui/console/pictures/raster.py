@@ -1,4 +1,4 @@
-"""A camera picture as grey levels for terminal cells: area means, hysteresis against noise, clipping kept; pure."""
+"""A camera picture as grey levels for terminal cells: area means, hysteresis against noise, clipping marked; pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 LEVELS = 16
 CLIPPED_COUNTS = 254
-"""A pixel of the reduced picture from here on counts as clipped."""
+"""From this value on a pixel of the reduced picture counts as clipped."""
 AVERAGE = 0.3
 """Weight of the newest picture in the running average of a still scene."""
 
@@ -17,7 +17,7 @@ Grey = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Detail:
+class PictureDetail:
     """How fine a picture is drawn; coarser costs fewer bytes."""
 
     levels: int
@@ -26,11 +26,12 @@ class Detail:
     """Side of the square of half cells that share one value."""
 
 
-FULL = Detail(LEVELS, 1)
-STEPS_DOWN: tuple[Detail, ...] = (FULL, Detail(8, 1), Detail(8, 2), Detail(6, 4))
+FULL = PictureDetail(LEVELS, 1)
+DETAILS: tuple[PictureDetail, ...] = (FULL, PictureDetail(8, 1), PictureDetail(8, 2), PictureDetail(6, 4))
+"""From fine to coarse."""
 
 
-def fit(source_height: int, source_width: int, rows: int, columns: int) -> tuple[int, int]:
+def half_cells_for(source_height: int, source_width: int, rows: int, columns: int) -> tuple[int, int]:
     """Height (even, in half cells) and width (in cells) of the picture in ``rows`` x ``columns`` cells.
 
     A cell is taken to be twice as high as it is wide.
@@ -43,7 +44,7 @@ def fit(source_height: int, source_width: int, rows: int, columns: int) -> tuple
 
 
 def to_grey(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[h, w] of a grey or RGB picture."""
+    """[h, w] of a grey or RGB picture (ITU-R BT.601 weights)."""
     if pixels.ndim == 2:
         return pixels
     weighted: NDArray[np.uint8] = (pixels @ np.array([0.299, 0.587, 0.114], np.float32)).astype(np.uint8)
@@ -51,7 +52,7 @@ def to_grey(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def reduce_to(pixels: NDArray[np.uint8], height: int, width: int) -> tuple[Grey, NDArray[np.bool_]]:
-    """Means over the areas of a ``height`` x ``width`` grid, and where an area holds a clipped pixel."""
+    """Means over the areas of a ``height`` x ``width`` grid, and where an area contains a clipped pixel."""
     ys, xs = _edges(pixels.shape[0], height), _edges(pixels.shape[1], width)
     sums = np.add.reduceat(np.add.reduceat(pixels.astype(np.uint32), ys, axis=0), xs, axis=1)
     counts = np.outer(_lengths(ys, pixels.shape[0]), _lengths(xs, pixels.shape[1]))
@@ -70,21 +71,25 @@ def _lengths(edges: NDArray[np.intp], length: int) -> NDArray[np.intp]:
 
 class Raster:
     """The levels on the screen. A cell changes only if it is wrong by more than noise explains: still scenes cost
-    nothing, moving ones at most a repaint.
+    nothing, moving ones at most one repaint.
     """
 
     def __init__(self) -> None:
         self.levels: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
-        """[2 x rows, columns]; ``count`` and above never occur, ``clipped`` says where the mark goes."""
+        """[2 x rows, columns], 0 to ``count`` - 1."""
         self.clipped: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        """[2 x rows, columns]: where the mark for clipping goes."""
         self.count = LEVELS
         self._average: Grey = np.zeros((0, 0), np.float32)
         self._at_steps: int | None = None
 
     def update(
-        self, pixels: NDArray[np.uint8], height: int, width: int, detail: Detail, at_steps: int
+        self, pixels: NDArray[np.uint8], height: int, width: int, detail: PictureDetail, at_steps: int
     ) -> NDArray[np.intp]:
-        """Take a picture; returns the rows of cells (pairs of half cells) that look different now."""
+        """Take a picture; returns the rows of cells (pairs of half cells) that look different now.
+
+        ``at_steps``: position of the stage; where it changed, the running average starts again.
+        """
         small = (-(-height // detail.block), -(-width // detail.block))
         means, clipped = reduce_to(to_grey(pixels), *small)
         fresh = means.shape != self._average.shape or detail.levels != self.count
@@ -94,17 +99,18 @@ class Raster:
         return self._show(means, clipped, (height, width), detail, fresh)
 
     def _show(
-        self, means: Grey, clipped: NDArray[np.bool_], shape: tuple[int, int], detail: Detail, fresh: bool
+        self, means: Grey, clipped: NDArray[np.bool_], shape: tuple[int, int], detail: PictureDetail, fresh: bool
     ) -> NDArray[np.intp]:
         step = 255.0 / (detail.levels - 1)
-        now = _grow(np.rint(means / step).astype(np.uint8), shape, detail.block)
-        marks = _grow(clipped, shape, detail.block)
+        now = _enlarged(np.rint(means / step).astype(np.uint8), shape, detail.block)
+        marks = _enlarged(clipped, shape, detail.block)
         if fresh or self.levels.shape != shape:
             self.levels, self.clipped = now, marks
             return np.arange(shape[0] // 2)
         shown = self.levels.astype(np.float32) * step
-        off = np.abs(_grow(means, shape, detail.block) - shown) >= 2.0 * step
-        settled = _grow(self._average, shape, detail.block)
+        # a single picture must be off by two levels (noise explains one), the average over a still scene by one
+        off = np.abs(_enlarged(means, shape, detail.block) - shown) >= 2.0 * step
+        settled = _enlarged(self._average, shape, detail.block)
         off_on_average = np.abs(settled - shown) >= step
         change = off | off_on_average | (marks != self.clipped)
         rows: NDArray[np.intp] = np.flatnonzero(change.reshape(shape[0] // 2, -1).any(axis=1))
@@ -114,7 +120,7 @@ class Raster:
         return rows
 
 
-def _grow(values: NDArray, shape: tuple[int, int], block: int) -> NDArray:
+def _enlarged(values: NDArray, shape: tuple[int, int], block: int) -> NDArray:
     if block == 1:
         return values
     return np.repeat(np.repeat(values, block, axis=0), block, axis=1)[: shape[0], : shape[1]]

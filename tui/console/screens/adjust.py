@@ -11,12 +11,12 @@ from textual.widgets import Input, Static
 
 from tui.console.link.messages import CommandAnswered
 from tui.console.screens.base import RigScreenBase
-from tui.console.screens.dialogs import Dialog, PlainInput
+from tui.console.screens.dialogs import Dialog, LineInput
 from tui.console.state.scan_forms import parse_number
 
 
-class Adjust(Dialog[None]):
-    """One number with its limits at the bottom of the screen; the picture above goes on."""
+class AdjustDialog(Dialog[None]):
+    """One number with its limits at the bottom of the screen; the picture above stays live."""
 
     BINDINGS = [
         Binding("escape", "leave", "leave"),
@@ -26,14 +26,14 @@ class Adjust(Dialog[None]):
         Binding("pagedown", "step(-5)", "much less", show=False),
     ]
     DEFAULT_CSS = """
-    Adjust { align: right bottom; background: $background 0%; }
-    Adjust > Vertical { width: 44; margin: 0 0 2 0; }
+    AdjustDialog { align: right bottom; background: $background 0%; }
+    AdjustDialog > Vertical { width: 44; margin: 0 0 2 0; }
     """
 
     def __init__(
         self, title: str, unit: str, value: float, limits: tuple[float, float], apply: Callable[[float], None]
     ) -> None:
-        """``apply`` is called with each new value, in the order in which they were set."""
+        """``apply`` is called with each new value."""
         super().__init__()
         self._title_words, self._unit, self._limits, self._apply = title, unit, limits, apply
         self.value = value
@@ -42,7 +42,7 @@ class Adjust(Dialog[None]):
         """The number, its limits, what the keys do."""
         with Vertical() as box:
             box.border_title = f"{self._title_words} ({self._unit})"
-            yield PlainInput(f"{self.value:g}", id="value", select_on_focus=True)
+            yield LineInput(f"{self.value:g}", id="value", select_on_focus=True)
             limits = f"{self._limits[0]:g} to {self._limits[1]:g} {self._unit}"
             yield Static(f"{limits}; Up and Down change it at once", classes="hint", markup=False)
             yield Static("Enter sets it, Escape leaves; SPACE is STOP", classes="hint", id="wrong", markup=False)
@@ -57,7 +57,7 @@ class Adjust(Dialog[None]):
         if value != self.value:
             self.value = value
             self._apply(value)
-        field = self.query_one(PlainInput)
+        field = self.query_one(LineInput)
         field.value = f"{value:g}"
         field.action_select_all()
 
@@ -72,23 +72,23 @@ class Adjust(Dialog[None]):
 
 
 class LatestValue:
-    """Sends a setting that changes quickly: one command under way, then the newest value."""
+    """Sends a setting that changes quickly: one command in flight, then the newest value."""
 
     def __init__(self, screen: RigScreenBase, setting: str) -> None:
         self._screen, self._setting = screen, setting
-        self._busy = False
+        self._in_flight = False
         self._next: float | None = None
 
     def set(self, value: float) -> None:
         """Send the value, or keep it until the last one was answered."""
-        if self._busy:
+        if self._in_flight:
             self._next = value
             return
-        self._busy = True
+        self._in_flight = True
         self._screen.send("camera", self._answered, **{self._setting: value})
 
     def _answered(self, answer: CommandAnswered) -> None:
-        self._busy = False
+        self._in_flight = False
         if not answer.ok:
             self._next = None
             self._screen.say(f"camera: {answer.detail}", "error")

@@ -1,53 +1,35 @@
-"""The calibrate screen: board views and sweeps collected under guidance, and what came of them with its reasons."""
+"""The calibrate screen: board views and sweeps collected under guidance, and the results with their reasons."""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
-from typing import Any
 
 from rich.text import Text
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal
-from textual.message import Message
 
-from acquire.contract.errors import CalibrationError
-from tui.console.calibration.board_sweeps import BoardSweeps
+from acquire.contract.errors import SweepscopeError
 from tui.console.calibration.board_watch import BoardWatch
-from tui.console.calibration.light_setup import BringLight, Command
-from tui.console.calibration.rules import (
-    CAMERA_GOAL,
-    PLANE_GOAL,
-    PLANE_POSES,
-    POSES,
-    Situation,
-    camera_hint,
-    plane_hint,
-    why_not,
-)
-from tui.console.calibration.session import BoardWords, CalibrationSession, parse_board
-from tui.console.calibration.texts import Verdict, verdict_of
+from tui.console.calibration.light_setup import CommandCall, LightSetup
+from tui.console.calibration.progress import CalibrationProgress
+from tui.console.calibration.rules import CAMERA_GOAL, PLANE_GOAL, camera_hint, plane_hint, why_not
+from tui.console.calibration.session import BoardPattern, parse_board
+from tui.console.jobs import Job
 from tui.console.link.messages import CommandAnswered
 from tui.console.link.rig_view import RigView
-from tui.console.screens.calibrate_keys import BINDINGS
 from tui.console.screens.camera_screen import CameraScreen
-from tui.console.screens.dialogs import Field, Form
+from tui.console.screens.dialogs import FormDialog, FormField
+from tui.console.shell import Shell
 from tui.console.widgets.board_picture import BoardPicture
 from tui.console.widgets.calibrate_panes import GuidePane, GuideView
 from tui.console.widgets.job_lines import JobLines
-from tui.console.widgets.rows import RowList
-from tui.processes.child_jobs import Job
+from tui.console.widgets.rows import RowList, Rows
 from tui.scans.folder import ScanFolder
 from tui.text.status_text import is_running
 
-LOOK_S = 2.0
-
-
-@dataclass
-class BoardSeen(Message):
-    """News of the child that looks for the board."""
-
-    facts: dict[str, Any]
+POLL_S = 2.0
+"""How often the folder of scans is listed for new sweeps."""
 
 
 class CalibrateScreen(CameraScreen):
@@ -56,10 +38,29 @@ class CalibrateScreen(CameraScreen):
     NAME = "calibrate"
     SUMMARY = (
         "First the camera: pictures of a board in different tilts, one of them lying flat. Then the light plane: "
-        "sweeps over the board flat and tilted. Nothing replaces a calibration in use by itself."
+        "sweeps over the board flat and tilted. The calibration in use is never replaced by itself."
     )
     CHANGES = frozenset({"capture", "sweep", "pose", "object"}) | CameraScreen.OF_CAMERA
-    BINDINGS = BINDINGS
+    BINDINGS = [
+        Binding("p", "preview", "preview", id="calibrate.preview", tooltip="camera pictures on or off"),
+        Binding("L", "lamp", "lamp", id="calibrate.lamp", tooltip="lamp on or off"),
+        Binding("t", "goto", "go to", id="calibrate.goto", tooltip="move the light to a position"),
+        Binding("b", "board", "board", id="calibrate.board", tooltip="squares, their size, kind"),
+        Binding("c", "capture", "capture", id="calibrate.capture", tooltip="save this view in full size"),
+        Binding("u", "undo", "drop last", id="calibrate.undo", tooltip="drop the last view"),
+        Binding("g", "fit", "calibrate", id="calibrate.fit", tooltip="calibrate with what was collected"),
+        Binding("m", "step", "next step", id="calibrate.step", tooltip="camera, light plane"),
+        Binding("w", "sweep", "sweep", id="calibrate.sweep", tooltip="sweep over the board as it lies now"),
+        Binding("e", "expose", "expose", id="calibrate.expose", tooltip="search the exposure (sweep: light on board)"),
+        Binding("enter", "use", "use or not", id="calibrate.use", tooltip="whether a sweep is used"),
+        Binding("v", "result", "result", id="calibrate.verdict", tooltip="the last result, or the guidance"),
+        Binding("n", "anew", "start over", id="calibrate.anew", tooltip="an empty session; this one stays"),
+        Binding("x", "cancel", "cancel", id="calibrate.cancel", tooltip="cancel the running calibration"),
+        Binding("P", "pose", "next pose", id="calibrate.pose", tooltip="simulated rig: the board in another pose"),
+        Binding("O", "object", "take board off", id="calibrate.object", tooltip="simulated rig: the specimen back"),
+        Binding("up", "move(-1)", "previous", show=False),
+        Binding("down", "move(1)", "next", show=False),
+    ]
     DEFAULT_CSS = """
     CalibrateScreen #panes { height: 1fr; }
     CalibrateScreen BoardPicture, CalibrateScreen #sweeps { width: 1fr; }
@@ -67,139 +68,116 @@ class CalibrateScreen(CameraScreen):
     CalibrateScreen.wide GuidePane { width: 60; }
     """
 
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(ascii_only=ascii_only)
-        self._picture = BoardPicture("mono" if ascii_only else "half", ascii_only=ascii_only)
-        self._list = RowList(id="sweeps", ascii_only=ascii_only, empty="no calibration sweep yet: w takes one")
-        self._guide = GuidePane(ascii_only=ascii_only)
-        self._jobs = JobLines(ascii_only=ascii_only)
-        self._session: CalibrationSession | None = None
-        self._scans: ScanFolder | None = None
-        self._sweeps = BoardSweeps()
-        self._plane_step = False
-        self._verdicts: dict[bool, Verdict] = {}
-        self._show_verdict = False
-        self._watch = BoardWatch(lambda: self.shell.jobs, lambda facts: self.post_message(BoardSeen(facts)))
-        self._light = BringLight()
-        self._pose = 0
+    def __init__(self, shell: Shell) -> None:
+        super().__init__(shell)
+        self._picture = BoardPicture("mono" if shell.options.ascii_only else "half")
+        self._list = RowList(id="sweeps", empty="no calibration sweep yet: w takes one")
+        self._list.border_title = "sweeps over the board"
+        self._guide = GuidePane()
+        self._job_lines = JobLines()
+        self._scans = ScanFolder(shell.options.data_dir)
+        self._progress = CalibrationProgress(shell.options.data_dir)
+        self._watch = BoardWatch(self.jobs, lambda: self.show_all(self.view))
+        self._light = LightSetup()
 
     def body(self) -> ComposeResult:
-        """The picture or the sweeps, the guidance, what runs."""
+        """The picture or the sweeps, the guide, running jobs."""
         yield Horizontal(self._picture, self._list, self._guide, id="panes")
-        yield self._jobs
+        yield self._job_lines
 
     def on_mount(self) -> None:
-        """Go on with the newest session."""
-        data_dir = self.shell.options.data_dir
-        self._session, self._scans = CalibrationSession(data_dir), ScanFolder(data_dir)
-        self.set_interval(LOOK_S, self._look)
+        """List the sweeps, again and again."""
+        self.set_interval(POLL_S, self._list_sweeps)
 
     def on_screen_suspend(self) -> None:
-        """Nobody looks: nothing is looked for, and no search begins when the light arrives."""
+        """Hidden: do not look for the board, nor search the exposure when the light arrives."""
         self._watch.stop()
         self._light.forget()
 
-    # ---- news ----
+    # ---- what is shown ----
 
     def show(self, view: RigView) -> None:
-        """Picture or sweeps, and the guidance."""
-        if self._session is None:
-            return
-        self._picture.display, self._list.display = not self._plane_step, self._plane_step
+        """Picture or sweeps, and the guide."""
+        plane, sweeps = self._progress.plane_step, self._progress.sweeps
+        self._picture.display, self._list.display = not plane, plane
         self._show_picture(view)
-        self._show_sweeps()
-        self._guide.border_title = "2 of 2: light plane" if self._plane_step else "1 of 2: camera"
+        self._list.show(Rows(Text("use  sweep"), sweeps.rows(), sweeps.keys))
+        self._guide.border_title = "2 of 2: light plane" if plane else "1 of 2: camera"
         self._guide.show(self._guide_view(view))
-        self._jobs.show(self.shell.jobs.work)
+        self._job_lines.show(self.jobs.work)
         if view.status is not None:
-            self._send_all(self._light.heard(view.status, self.shell.now_s(), stopped=bool(view.stop_words)))
-        self._watch.follow(self._session.watch_command(), wanted=self._wanted(view))
+            self._send_all(self._light.take_status(view.status, self.shell.now_s(), stopped=bool(view.stop_words)))
+        self._watch.follow(self._progress.session.watch_command(), wanted=self._looks_for_board(view))
 
     def _show_picture(self, view: RigView) -> None:
         if not view.connected:
             self._picture.show(None, "not connected - retrying")
         elif view.picture is None:
-            self._picture.show(None, "no picture yet: p turns the preview on")
+            self._picture.show(None, "no picture yet: p starts the preview")
         elif self.shell.meter.may_send_picture():
-            self._picture.show(view.picture, "", self.shell.meter.governor.detail)
+            self._picture.show(view.picture, "", self.shell.meter.rate.detail)
         self._picture.mark(self._watch.live.get("corners") or () if view.connected else ())
 
-    def _show_sweeps(self) -> None:
-        self._list.border_title = "sweeps over the board"
-        self._list.show(Text("use  sweep"), self._sweeps.rows(ascii_only=self.ascii_only), self._sweeps.keys)
-
     def _guide_view(self, view: RigView) -> GuideView:
-        assert self._session is not None
-        verdict = self._verdicts.get(self._plane_step) if self._show_verdict else None
-        board = self._session.board.words()
-        if self._plane_step:
-            hint = plane_hint(len(self._sweeps.used))
-            return GuideView(PLANE_GOAL, board, hint=hint, verdict=verdict)
-        wanted, status = self._wanted(view), view.status
-        hint = ""
-        if wanted and verdict is None:
-            hint = camera_hint(lamp_on=status is not None and status.lamp_on, views=len(self._session.views))
-        live = self._watch.words(wanted=wanted) if verdict is None else ""
-        return GuideView(CAMERA_GOAL, board, live=live, facts=self._watch.facts, verdict=verdict, hint=hint)
+        session, result = self._progress.session, self._progress.result
+        board = session.board.words()
+        if self._progress.plane_step:
+            return GuideView(PLANE_GOAL, board, hint=plane_hint(len(self._progress.sweeps.used)), result=result)
+        looks, status = self._looks_for_board(view), view.status
+        live = hint = ""
+        if result is None:
+            live = self._watch.words(wanted=looks)
+        if looks and result is None:
+            hint = camera_hint(lamp_on=status is not None and status.lamp_on, views=len(session.views))
+        return GuideView(CAMERA_GOAL, board, live=live, facts=self._watch.facts, result=result, hint=hint)
 
-    def _look(self) -> None:
-        """The sweeps of the folder, now and then."""
-        if self.is_current and self._plane_step and self._scans is not None:
-            self.run_worker(self._look_at(self._scans), exclusive=True, exit_on_error=False)
+    def _list_sweeps(self) -> None:
+        if self.is_current and self._progress.plane_step:
+            self.run_worker(self._listed(), exclusive=True, exit_on_error=False)
 
-    async def _look_at(self, scans: ScanFolder) -> None:
+    async def _listed(self) -> None:
         try:
-            found = await asyncio.to_thread(scans.look)
-        except CalibrationError:
+            found = await asyncio.to_thread(self._scans.look)
+        except SweepscopeError:
             return
-        self._sweeps.take(found)
+        self._progress.sweeps.take(found)
         self.show_all(self.view)
 
-    # ---- looking for the board ----
-
-    def _wanted(self, view: RigView) -> bool:
-        looks = self.is_current and not self._plane_step
+    def _looks_for_board(self, view: RigView) -> bool:
+        looks = self.is_current and not self._progress.plane_step
         return looks and view.connected and view.status is not None and not is_running(view.status)
-
-    def on_board_seen(self, message: BoardSeen) -> None:
-        """What the child found."""
-        self._watch.take(message.facts)
-        self.show_all(self.view)
 
     # ---- what can be done ----
 
     def why_not(self, action: str) -> str:
         """The step and the rig's state decide."""
-        if self._session is None:
-            return "the screen is being made"
         status = self.view.status
-        situation = Situation(
-            plane_step=self._plane_step,
+        situation = self._progress.situation(
             sweep_runs=is_running(status),
             simulated=status is not None and status.camera_kind == "simulated",
-            views=len(self._session.views),
-            sweeps=len(self._sweeps.entries),
-            used=len(self._sweeps.used),
-            has_camera=self._session.result.is_file(),
-            has_verdict=self._plane_step in self._verdicts,
-            works=self.shell.jobs.board.running_on(str(self._session.folder)) is not None,
+            working=self._job is not None,
         )
         return why_not(action, situation) or super().why_not(action)
 
-    def goto_first_offers(self) -> int:
-        """Where the sweep ends the light lies over all of the board; beyond it, its edge lies no more on a view."""
+    @property
+    def _job(self) -> Job | None:
+        """The running calibration."""
+        return self.jobs.running_on(str(self._progress.session.folder))
+
+    def default_target(self) -> int:
+        """Where the sweep ends, the light is over the whole board; beyond, its edge no longer lies on a view."""
         assert self.view.status is not None
-        return self.shell.draft.last_steps if self._plane_step else self.view.status.travel_steps[1]
+        return self.draft.last_steps if self._progress.plane_step else self.view.status.travel_steps[1]
 
     def action_expose(self) -> None:
-        """Search the exposure once; for a sweep with the light over all of the board."""
-        if not self._plane_step:
+        """Search the exposure once; for a sweep with the light over the whole board."""
+        if not self._progress.plane_step:
             super().action_expose()
             return
         assert self.view.status is not None
-        self._send_all(self._light.begin(self.shell.draft.last_steps, self.view.status, self.shell.now_s()))
+        self._send_all(self._light.begin(self.draft.last_steps, self.view.status, self.shell.now_s()))
 
-    def _send_all(self, commands: list[Command]) -> None:
+    def _send_all(self, commands: list[CommandCall]) -> None:
         def answered(answer: CommandAnswered) -> None:
             if not answer.ok:
                 self._light.forget()
@@ -209,68 +187,59 @@ class CalibrateScreen(CameraScreen):
             self.send(name, answered, **args)
 
     def action_board(self) -> None:
-        """Ask what the board is."""
-        assert self._session is not None
-        board = self._session.board
+        """Type what the board is."""
+        board = self._progress.session.board
         fields = [
-            Field("squares", "squares", f"{board.columns}x{board.rows}", help="along both sides, or dots: 16x13"),
-            Field("square_mm", "size in mm", f"{board.square_mm:g}", help="side of a square, or distance of two dots"),
-            Field("kind", "kind", board.kind, help="chessboard, charuco or dots"),
+            FormField("squares", "squares", f"{board.columns}x{board.rows}", help="along both sides, or dots: 16x13"),
+            FormField("square_mm", "size in mm", f"{board.square_mm:g}", help="side of a square, or pitch of the dots"),
+            FormField("kind", "kind", board.kind, help="chessboard, charuco or dots"),
         ]
-        self.shell.push_screen(Form("the board", fields, parse_board), self._keep_board)
+        self.ask(FormDialog("the board", fields, parse_board), self._save_board)
 
-    def _keep_board(self, board: BoardWords | None) -> None:
-        if board is None or self._session is None:
-            return
+    def _save_board(self, board: BoardPattern) -> None:
         try:
-            self._session.keep_board(board)
-        except CalibrationError as error:
+            self._progress.session.save_board(board)
+        except SweepscopeError as error:
             self.say(str(error), "error")
-        self._look_anew()
+        self._watch_anew()
 
-    def _look_anew(self) -> None:
-        """The child begins again with what is asked for now."""
+    def _watch_anew(self) -> None:
+        """Start the search for the board again with its new arguments."""
         self._watch.begin_anew()
         self.show_all(self.view)
 
     def action_capture(self) -> None:
-        """Keep this view."""
-        assert self._session is not None
-        path = self._session.next_view()
+        """Save this view."""
+        path = self._progress.session.next_view()
 
         def answered(answer: CommandAnswered) -> None:
             self.say(f"{path.name}: " + ("captured" if answer.ok else answer.detail), "info" if answer.ok else "error")
 
-        self._show_verdict = False
+        self._progress.show_result = False
         self.send("capture", answered, path=str(path.absolute()))
 
     def action_undo(self) -> None:
-        """Put the last view aside."""
-        assert self._session is not None
+        """Drop the last view."""
         try:
-            self.say(f"{self._session.drop_last_view()} was put aside")
-        except CalibrationError as error:
+            self.say(f"{self._progress.session.drop_last_view()} was dropped")
+        except SweepscopeError as error:
             self.say(str(error), "error")
 
     def action_anew(self) -> None:
-        """An empty session."""
-        assert self._session is not None
-        self._session.begin_anew()
-        self._verdicts, self._show_verdict = {}, False
-        self.say(f"a new calibration: {self._session.folder}; the one before stays")
-        self._look_anew()
+        """Begin an empty session."""
+        self._progress.begin_anew()
+        self.say(f"a new calibration: {self._progress.session.folder}; the one before stays")
+        self._watch_anew()
 
     def action_step(self) -> None:
         """Camera, light plane."""
-        self._plane_step = not self._plane_step
-        self._pose = 0  # the simulated board begins flat again
-        self._show_verdict = self._plane_step in self._verdicts
+        self._progress.next_step()
         self.show_all(self.view)
-        self._look()
+        self._list_sweeps()
 
-    def action_verdict(self) -> None:
-        """The result or the guidance."""
-        self._show_verdict = not self._show_verdict
+    def action_result(self) -> None:
+        """Show the result, or the guidance."""
+        self._progress.show_result = not self._progress.show_result
         self.show_all(self.view)
 
     def action_move(self, rows: int) -> None:
@@ -278,49 +247,37 @@ class CalibrateScreen(CameraScreen):
         self._list.move(rows)
 
     def action_use(self) -> None:
-        """Whether the chosen sweep counts."""
-        self._sweeps.toggle(str(self._list.chosen))
+        """Use the chosen sweep, or not."""
+        self._progress.sweeps.toggle(str(self._list.chosen))
         self.show_all(self.view)
 
     def action_sweep(self) -> None:
         """Sweep over the board as it lies."""
-        draft = self.shell.draft
-        self.send("scan", name=f"board-{len(self._sweeps.entries) + 1}", **draft.plan_args(), purpose="calibration")
+        name = f"board-{len(self._progress.sweeps.entries) + 1}"
+        self.send("scan", name=name, **self.draft.plan_args(), purpose="calibration")
 
     def action_pose(self) -> None:
-        """The simulated board in the next pose."""
-        poses = PLANE_POSES if self._plane_step else POSES
-        pose = poses[self._pose % len(poses)]
-        self._pose += 1
-        self.send("specimen", object="checkerboard", **pose)
+        """Place the simulated board in the next pose."""
+        self.send("specimen", object="checkerboard", **self._progress.next_pose())
 
     def action_object(self) -> None:
-        """The specimen back under the simulated camera."""
-        self._pose = 0
+        """Place the specimen back under the simulated camera."""
+        self._progress.reset_poses()
         self.send("specimen", object="stirrup", tilt_x_deg=0.0, tilt_y_deg=0.0, moved_um=[0.0, 0.0, 0.0])
 
     def action_cancel(self) -> None:
-        """End the calibration."""
-        assert self._session is not None
-        job = self.shell.jobs.board.running_on(str(self._session.folder))
-        if job is not None:
-            self.shell.jobs.cancel(job)
+        """Cancel the calibration."""
+        self.jobs.cancel(self._job)
 
     def action_fit(self) -> None:
         """Calibrate with what was collected."""
-        assert self._session is not None
-        session, plane = self._session, self._plane_step
-        self._show_verdict = False
-        before = session.document_before().get("camera") or {}
+        plane = self._progress.plane_step
 
         def ended(job: Job) -> None:
             if not job.cancelled:
-                self._verdicts[plane] = verdict_of(job, before, plane=plane)
-                self._show_verdict = True
-                self.say(self._verdicts[plane].headline, "info" if self._verdicts[plane].passed else "error")
+                result = self._progress.take_job(job, plane=plane)
+                self.say(result.headline, "info" if result.passed else "error")
             self.show_all(self.view)
 
-        stage = str(self._watch.facts.get("stage_view") or "")
-        command = session.plane_command(self._sweeps.used) if plane else session.camera_command(stage)
-        title = "calibrate the light plane" if plane else "calibrate the camera"
-        self.shell.jobs.start(title, command, str(session.folder), ended)
+        title, command = self._progress.fit(str(self._watch.facts.get("stage_view") or ""))
+        self.jobs.start(title, command, str(self._progress.session.folder), ended)

@@ -1,4 +1,4 @@
-"""What the screens share on which one looks through the camera: pictures, lamp, exposure, and where the stage is."""
+"""What the screens with a live picture share: pictures, lamp, exposure, moving the stage to a position."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import ClassVar
 
 from acquire.contract.states import State
 from tui.console.screens.base import RigScreenBase
-from tui.console.screens.dialogs import Field, Form
+from tui.console.screens.dialogs import FormDialog, FormField
 from tui.console.state import scan_rules
+from tui.console.state.scan_draft import ScanDraft
 from tui.console.state.scan_forms import parse_position
 
 PREVIEW_HZ = 5.0
@@ -20,12 +21,17 @@ class CameraScreen(RigScreenBase):
     OF_CAMERA: ClassVar[frozenset[str]] = frozenset({"preview", "lamp", "expose", "goto"})
     """The shared actions: all of them change the rig."""
 
+    @property
+    def draft(self) -> ScanDraft:
+        """The sweep that is being prepared."""
+        return self.shell.state.draft
+
     def why_not(self, action: str) -> str:
-        """The rig's state decides."""
+        """The state of the rig decides."""
         return scan_rules.why_not(action, self.view.status)
 
     def action_preview(self) -> None:
-        """Pictures on or off."""
+        """Camera pictures without a sweep, on or off."""
         status = self.view.status
         on = not (status is not None and (status.activity == "preview" or status.state == State.PREVIEW))
         self.send("preview", on=on, rate_hz=PREVIEW_HZ)
@@ -35,27 +41,22 @@ class CameraScreen(RigScreenBase):
         self.send("lamp", on=not (self.view.status is not None and self.view.status.lamp_on))
 
     def action_expose(self) -> None:
-        """Search the exposure once, with the light over what is looked at: saturated pixels tell nothing."""
+        """Search the exposure once; the light must be over the specimen, because saturated pixels tell nothing."""
         self.send("expose")
 
-    def goto_first_offers(self) -> int:
-        """The position that the question begins with, in microsteps."""
+    def default_target(self) -> int:
+        """The position that the form for ``goto`` begins with, in microsteps."""
         assert self.view.status is not None
         return self.view.status.position_steps
 
     def action_goto(self) -> None:
-        """Ask where to."""
-        draft, status = self.shell.draft, self.view.status
-        assert status is not None
-        low, high = status.travel_steps
+        """Ask for a position and move there."""
+        assert self.view.status is not None
+        low, high = self.view.status.travel_steps
         limits = f"microsteps {low} to {high}, or um (5010um)"
-        where = Field("where", "go to", str(self.goto_first_offers()), help=limits)
-
-        def go(position: int | None) -> None:
-            if position is not None:
-                self.send("goto", position_steps=position)
-
-        def parse(texts: dict[str, str]) -> int:
-            return parse_position(texts["where"], draft.um_per_microstep)
-
-        self.shell.push_screen(Form("go to", [where], parse, done="moves"), go)
+        field = FormField("where", "go to", str(self.default_target()), help=limits)
+        um_per_microstep = self.draft.um_per_microstep
+        form = FormDialog(
+            "go to", [field], lambda texts: parse_position(texts["where"], um_per_microstep), done="moves"
+        )
+        self.ask(form, lambda position: self.send("goto", position_steps=position))

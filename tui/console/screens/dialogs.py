@@ -1,4 +1,4 @@
-"""Dialogs above a screen: one value, a form, a confirmation. STOP works in all of them; what can do harm waits."""
+"""Dialogs above a screen: forms and confirmations. STOP works in all of them; what can do harm ignores type-ahead."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Dialog(ModalScreen[R]):
     """A box in the middle of the screen."""
 
     DANGEROUS: ClassVar[bool] = False
-    """True: keys typed before the dialog could be read do not count (300 ms)."""
+    """True: keys that were typed before the dialog could be read are ignored."""
     DEFAULT_CSS = """
     Dialog { align: center middle; background: $background 60%; }
     Dialog > Vertical { width: 72; max-width: 96%; height: auto; max-height: 96%; border: round $accent;
@@ -35,48 +35,43 @@ class Dialog(ModalScreen[R]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._asked_s: float | None = None
+        self._shown_s: float | None = None
 
     def may_take(self, key: str, now_s: float) -> bool:
-        """False for a key that must have been typed before the dialog was there."""
-        if self._asked_s is None:
-            self._asked_s = now_s
-        return not self.DANGEROUS or key in ("n", "escape") or now_s - self._asked_s >= TYPE_AHEAD_S
+        """False for a key that must have been typed before the dialog was shown."""
+        if self._shown_s is None:
+            self._shown_s = now_s
+        return not self.DANGEROUS or key in ("n", "escape") or now_s - self._shown_s >= TYPE_AHEAD_S
 
     def on_mount(self) -> None:
         """From now on it can be read."""
-        if self._asked_s is None:
-            self._asked_s = getattr(self.app, "now_s", time.monotonic)()
+        if self._shown_s is None:
+            self._shown_s = getattr(self.app, "now_s", time.monotonic)()
 
     def action_leave(self) -> None:
-        """Change nothing."""
+        """Leave without an answer."""
         self.dismiss(None)
 
 
-class WordsInput(Input):
-    """A field for words: ``_`` becomes a space, because the space bar is STOP everywhere."""
+class LineInput(Input):
+    """A field of one line without a frame. In one for ``words``, ``_`` becomes a space: the space bar is STOP."""
 
     DEFAULT_CSS = """
-    WordsInput, WordsInput:focus { border: none; height: 1; padding: 0; background: $panel; }
-    WordsInput:focus { background: $primary 40%; }
+    LineInput, LineInput:focus { border: none; height: 1; padding: 0; background: $panel; }
+    LineInput:focus { background: $primary 40%; }
     """
+
+    def __init__(self, value: str = "", *, words: bool = False, **options: Any) -> None:
+        super().__init__(value, **options)
+        self._words = words
 
     def insert_text_at_cursor(self, text: str) -> None:
         """Insert what was typed or pasted."""
-        super().insert_text_at_cursor(" " if text == "_" else text)
-
-
-class PlainInput(Input):
-    """A field of one line without a frame."""
-
-    DEFAULT_CSS = """
-    PlainInput, PlainInput:focus { border: none; height: 1; padding: 0; background: $panel; }
-    PlainInput:focus { background: $primary 40%; }
-    """
+        super().insert_text_at_cursor(" " if self._words and text == "_" else text)
 
 
 @dataclass(frozen=True)
-class Field:
+class FormField:
     """One line of a form."""
 
     name: str
@@ -88,7 +83,7 @@ class Field:
     """Unit, limits, an example."""
 
 
-class Form(Dialog[Any]):
+class FormDialog(Dialog[Any]):
     """Asks for several values; the answer is what ``parse`` makes of the texts, None when it was left."""
 
     BINDINGS = [
@@ -97,25 +92,25 @@ class Form(Dialog[Any]):
         Binding("down", "app.focus_next", "next", show=False),
     ]
     DEFAULT_CSS = """
-    Form Grid { grid-size: 2; grid-columns: 18 1fr; grid-rows: auto; height: auto; }
-    Form Grid Static { height: auto; }
+    FormDialog Grid { grid-size: 2; grid-columns: 18 1fr; grid-rows: auto; height: auto; }
+    FormDialog Grid Static { height: auto; }
     """
 
     def __init__(
         self,
         title: str,
-        fields: Sequence[Field],
+        fields: Sequence[FormField],
         parse: Callable[[dict[str, str]], Any],
         *,
-        done: str = "takes it over",
+        done: str = "accepts",
         lines: Sequence[str] = (),
     ) -> None:
-        """``parse`` raises ValueError with words for people; ``done`` says what Enter does; ``lines`` stand above."""
+        """``parse`` raises ValueError that says what is wrong; ``done`` says what Enter does; ``lines`` stand above."""
         super().__init__()
         self._title_words, self._fields, self._parse, self._done, self._lines = title, fields, parse, done, lines
 
     def compose(self) -> ComposeResult:
-        """Labels and fields, a hint, room for what is wrong."""
+        """Labels and fields, hints, a line for errors."""
         with Vertical() as box:
             box.border_title = self._title_words
             for line in self._lines:
@@ -123,17 +118,17 @@ class Form(Dialog[Any]):
             with Grid():
                 for field in self._fields:
                     yield Static(field.label, markup=False)
-                    kind = WordsInput if field.words else PlainInput
-                    yield kind(field.value, id=f"field-{field.name}", select_on_focus=True)
+                    yield LineInput(field.value, words=field.words, id=f"field-{field.name}", select_on_focus=True)
             for field in self._fields:
                 if field.help:
                     yield Static(f"{field.label}: {field.help}", classes="hint", markup=False)
             space = SPACE_HINT if any(field.words for field in self._fields) else "SPACE is STOP"
-            yield Static(f"Enter {self._done}, Tab goes on, Escape leaves; {space}", classes="hint", markup=False)
+            hint = f"Enter {self._done}, Tab goes to the next field, Escape leaves; {space}"
+            yield Static(hint, classes="hint", markup=False)
             yield Static("", id="wrong", classes="error", markup=False)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Answer if the values will do, else say what is wrong."""
+        """Answer if the values are valid, else say what is wrong."""
         texts = {field.name: self.query_one(f"#field-{field.name}", Input).value.strip() for field in self._fields}
         try:
             answer = self._parse(texts)
@@ -144,34 +139,22 @@ class Form(Dialog[Any]):
 
 
 class Confirm(Dialog[bool]):
-    """Asks before something that can do harm; ``yes`` is another key than the one that opened the question."""
+    """Asks before something that can do harm; ``y`` is another key than any that opens the question."""
 
     DANGEROUS = True
-    BINDINGS = [Binding("n,escape", "answer(False)", "no")]
+    BINDINGS = [Binding("n,escape", "answer(False)", "no"), Binding("y", "answer(True)", "yes")]
 
-    def __init__(self, lines: Sequence[str], yes: str, *, key: str = "y", no: str = "leave it") -> None:
+    def __init__(self, lines: Sequence[str], yes: str, *, no: str = "leave it") -> None:
         super().__init__()
-        self._lines, self._yes, self._key, self._no = lines, yes, key, no
-        self._bindings.bind(key, "answer(True)", yes)
+        self._lines, self._yes, self._no = lines, yes, no
 
     def compose(self) -> ComposeResult:
         """The question and its two answers."""
         with Vertical():
             for line in self._lines:
                 yield Static(line, markup=False)
-            yield Static(f"\n{self._key}  {self._yes}      n  {self._no}", markup=False)
+            yield Static(f"\ny  {self._yes}      n  {self._no}", markup=False)
 
     def action_answer(self, answer: bool) -> None:
         """Yes or no."""
         self.dismiss(answer)
-
-
-class ConfirmQuit(Confirm):
-    """Asks before a sweep that would end with this program is given up."""
-
-    def __init__(self) -> None:
-        lines = (
-            "A sweep is running, and it ends with this demonstration.",
-            "The frames taken so far are kept; the scan is closed as aborted and cannot go on.",
-        )
-        super().__init__(lines, "end it and leave", no="stay")

@@ -1,4 +1,4 @@
-"""Moves the stage from the keyboard: one bounded move under way, one waiting; a held key moves under a lease."""
+"""Moves the stage from the keyboard: one bounded move in flight, one waiting; a held key moves under a lease."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HOLD_RATE_STEPS_PER_S = 400.0
 
 
 class Jogging:
-    """Keys in, commands out; limits shorten a move with the reason."""
+    """Keys in, commands out; limits shorten a move and say so."""
 
     def __init__(self, screen: RigScreenBase) -> None:
         self._screen = screen
@@ -21,11 +21,16 @@ class Jogging:
         self.fine_steps = STEP_SIZES[1]
         """Size of the fine step in microsteps."""
 
+    @property
+    def in_flight(self) -> bool:
+        """True while a move of ours is in flight: a press is not sent, it waits."""
+        return self._gate.in_flight(self._screen.shell.now_s())
+
     def press(self, steps: int, status: Status) -> None:
-        """``steps`` fine steps in one bounded move; what the keyboard repeats meanwhile is ignored."""
+        """``steps`` fine steps in one bounded move; repeats of the keyboard meanwhile are ignored."""
         wanted = steps * self.fine_steps
         if status.position_trusted:
-            um_per_microstep = self._screen.shell.draft.um_per_microstep
+            um_per_microstep = self._screen.shell.state.draft.um_per_microstep
             move = clip(status.position_steps, wanted, status.travel_steps, um_per_microstep)
             wanted = move.steps
             if move.words:
@@ -33,30 +38,25 @@ class Jogging:
         if wanted:
             self._send(self._gate.press(wanted, self._screen.shell.now_s()))
 
-    @property
-    def in_flight(self) -> bool:
-        """True while a move of ours is under way: a press is not sent, it waits."""
-        return self._gate.in_flight(self._screen.shell.now_s())
-
     def hold(self, direction: int) -> None:
-        """A fresh press of a held key renews the lease."""
+        """Renew the lease: a held key repeats."""
         if self._gate.hold(self._screen.shell.now_s()):
             lease = {"direction": direction, "rate_steps_per_s": HOLD_RATE_STEPS_PER_S}
-            self._screen.send("jog_hold", self._held, **lease)
+            self._screen.send("jog_hold", self._hold_answered, **lease)
 
     def resize(self, direction: int) -> None:
         """Another fine step: 1 larger, -1 smaller."""
         self.fine_steps = next_size(self.fine_steps, direction)
 
     def follow(self, view: RigView) -> None:
-        """What the rig says: the move that waits may go, or is forgotten because of a STOP."""
+        """A status arrived: the waiting move is sent once the stage rests, or dropped after a STOP."""
         status = view.status
         if status is None:
             return
         if view.stop_words:
             self._gate.forget()
         moving, now_s = status.state == State.MOVING, self._screen.shell.now_s()
-        self._send(self._gate.heard(moving=moving, said_ns=status.sent_mono_ns, now_s=now_s))
+        self._send(self._gate.take_status(moving=moving, sent_ns=status.sent_mono_ns, now_s=now_s))
 
     def _send(self, steps: int) -> None:
         if steps:
@@ -67,6 +67,6 @@ class Jogging:
         if not answer.ok:
             self._screen.say(f"jog: {answer.detail}", "error")
 
-    def _held(self, answer: CommandAnswered) -> None:
+    def _hold_answered(self, answer: CommandAnswered) -> None:
         if not answer.ok:
-            self._screen.say(f"held move: {answer.detail}", "error")
+            self._screen.say(f"hold: {answer.detail}", "error")

@@ -5,35 +5,74 @@ from __future__ import annotations
 from dataclasses import replace
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.events import Resize
 from textual.timer import Timer
 
 from tui.console.link.messages import CommandAnswered
 from tui.console.link.rig_view import RigView
-from tui.console.screens import scan_keys
-from tui.console.screens.adjust import Adjust, LatestValue
+from tui.console.screens.adjust import AdjustDialog, LatestValue
+from tui.console.screens.base import action_name
 from tui.console.screens.camera_screen import CameraScreen
-from tui.console.screens.dialogs import Field, Form
 from tui.console.screens.jogging import Jogging
+from tui.console.screens.plan_dialogs import plan_dialog, start_dialog, words_dialog
+from tui.console.shell import Shell
 from tui.console.state.estimate import Estimate
-from tui.console.state.scan_draft import Draft
-from tui.console.state.scan_forms import parse_name, parse_plan, parse_words
-from tui.console.widgets.log_tail import LogTail
+from tui.console.state.jog import FAST_FACTOR
+from tui.console.state.scan_draft import ScanDraft
+from tui.console.widgets.log_pane import LogPane
 from tui.console.widgets.picture import MODES
 from tui.console.widgets.picture_pane import PicturePane
 from tui.console.widgets.scan_panes import LightPane, PlanPane, ProgressPane, StagePane
-from tui.text.status_text import is_running, scan_name
+from tui.text.status_text import is_running
 
 TALL = 33
 """From this height on plan and progress are both in view."""
 SETTLE_S = 0.3
-"""The estimate is asked for when the plan has not changed for so long."""
+"""The estimate is requested when the plan has not changed for so long."""
 _SETTINGS = {
     "exposure_ms": ("exposure", "ms", (0.01, 1000.0)),
     "gain": ("gain", "dB", (0.0, 48.0)),
     "brightness_percent": ("black level", "%", (0.0, 100.0)),
 }
+_MODE_WORDS = {"half": "half blocks", "mono": "characters", "off": "off"}
+_ON_KEY_LINE = [
+    Binding("s", "start", "start", id="scan.start", tooltip="start the sweep (asks for its name)"),
+    Binding("p", "pause", "pause", id="scan.pause", tooltip="the stage holds, nothing is lost"),
+    Binding("r", "resume", "resume", id="scan.resume", tooltip="go on with a paused sweep"),
+    Binding("V", "picture", "picture", id="scan.picture", tooltip="half blocks, characters, or no picture"),
+]
+_IN_PANES = [
+    Binding("v", "preview", "preview", id="scan.preview", tooltip="camera pictures without a sweep, on or off"),
+    Binding("L", "lamp", "lamp", id="scan.lamp", tooltip="lamp on or off"),
+    Binding("x", "expose", "expose", id="scan.expose", tooltip="search the exposure, light over the specimen"),
+    Binding("e", "adjust('exposure_ms')", "exposure", id="scan.exposure", tooltip="change the exposure"),
+    Binding("g", "adjust('gain')", "gain", id="scan.gain", tooltip="change the gain"),
+    Binding("b", "adjust('brightness_percent')", "black", id="scan.black", tooltip="change the black level"),
+    Binding("comma,left", "jog(-1)", "jog back", id="scan.jog_back", tooltip="one fine step back"),
+    Binding("full_stop,right", "jog(1)", "jog on", id="scan.jog_on", tooltip="one fine step forward"),
+    Binding(
+        "less_than_sign,shift+left", f"jog(-{FAST_FACTOR})", "fast back", id="scan.fast_back", tooltip="ten steps back"
+    ),
+    Binding(
+        "greater_than_sign,shift+right", f"jog({FAST_FACTOR})", "fast on", id="scan.fast_on", tooltip="ten forward"
+    ),
+    Binding("j", "hold(-1)", "hold back", id="scan.hold_back", tooltip="move back while the key is held"),
+    Binding("k", "hold(1)", "hold on", id="scan.hold_on", tooltip="move forward while the key is held"),
+    Binding("left_square_bracket", "size(-1)", "finer", id="scan.finer", tooltip="smaller fine step"),
+    Binding("right_square_bracket", "size(1)", "coarser", id="scan.coarser", tooltip="larger fine step"),
+    Binding("h", "home", "home", id="scan.home", tooltip="find the zero of the stage"),
+    Binding("z", "zero", "zero", id="scan.zero", tooltip="make this position the zero"),
+    Binding("t", "goto", "go to", id="scan.goto", tooltip="move to a position"),
+    Binding("f", "set_first", "first", id="scan.first", tooltip="first position: where the stage is"),
+    Binding("l", "set_last", "last", id="scan.last", tooltip="last position: where the stage is"),
+    Binding("n", "plan", "plan", id="scan.plan", tooltip="type first, last, steps per frame, settle, mode"),
+    Binding("m", "mode", "mode", id="scan.mode", tooltip="stop for each frame, or trigger on the fly"),
+    Binding("w", "prescan", "pre-scan", id="scan.prescan", tooltip="a coarse sweep that proposes the bounds"),
+    Binding("u", "use_proposal", "use it", id="scan.use_proposal", tooltip="use the proposal of the pre-scan"),
+    Binding("i", "words", "name", id="scan.words", tooltip="name, specimen, operator, notes, tags"),
+]
 
 
 class ScanScreen(CameraScreen):
@@ -42,9 +81,11 @@ class ScanScreen(CameraScreen):
     NAME = "scan"
     SUMMARY = "Set the light with the specimen under it, set first and last, look at the estimate, start."
     SHOWS_LOG = True
-    CHANGES = scan_keys.CHANGES
-    IN_PANES = scan_keys.IN_PANES
-    BINDINGS = scan_keys.BINDINGS
+    CHANGES = CameraScreen.OF_CAMERA | {
+        *("start", "pause", "resume", "adjust", "jog", "hold", "home", "zero", "prescan", "use_proposal")
+    }
+    IN_PANES = frozenset(str(binding.id) for binding in _IN_PANES)
+    BINDINGS = [*_ON_KEY_LINE, *_IN_PANES]
     DEFAULT_CSS = """
     ScanScreen #left { width: 1fr; height: 100%; }
     ScanScreen #right { width: 44; height: 100%; }
@@ -55,17 +96,15 @@ class ScanScreen(CameraScreen):
     ScanScreen.resting.short ProgressPane { display: none; }
     """
 
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(ascii_only=ascii_only)
-        self._picture = PicturePane(mode="half", ascii_only=ascii_only)
-        self._stage = StagePane(self.key_of, ascii_only=ascii_only)
-        self._light = LightPane(self.key_of, ascii_only=ascii_only)
-        self._plan = PlanPane(self.key_of, ascii_only=ascii_only)
-        self._progress = ProgressPane(self.key_of, ascii_only=ascii_only)
-        self._log = LogTail(ascii_only=ascii_only)
+    def __init__(self, shell: Shell) -> None:
+        super().__init__(shell)
+        self._picture = PicturePane(mode=shell.options.picture)
+        self._stage, self._light = StagePane(self.key_of), LightPane(self.key_of)
+        self._plan, self._progress = PlanPane(self.key_of), ProgressPane(self.key_of)
+        self._log = LogPane()
         self._jogging = Jogging(self)
         self._settling: Timer | None = None
-        self._estimated: tuple[Draft, float | None] | None = None
+        self._estimated: tuple[ScanDraft, float | None] | None = None
 
     def body(self) -> ComposeResult:
         """Picture and log on the left, the panes on the right."""
@@ -79,129 +118,102 @@ class ScanScreen(CameraScreen):
                 yield self._plan
                 yield self._progress
 
-    def on_mount(self) -> None:
-        """The picture as this console was told to draw it."""
-        self._picture.live.set_mode(self.shell.options.picture)
-
     def on_resize(self, event: Resize) -> None:
         """Choose the layout."""
         super().on_resize(event)
         self.set_class(event.size.height >= TALL, "tall")
         self.set_class(event.size.height < TALL, "short")
 
-    def why_not(self, action: str) -> str:
-        """A jog that the daemon would refuse because of our own move may be pressed: it waits for the move's end."""
-        return "" if action == "jog" and self._jogging.in_flight else super().why_not(action)
-
-    # ---- news ----
+    # ---- what is shown ----
 
     def show(self, view: RigView) -> None:
         """Hand the newest values to the panes."""
         running = is_running(view.status)
         self.set_class(running, "running")
         self.set_class(not running, "resting")
-        self._stage.fine_steps, self._plan.draft = self._jogging.fine_steps, self.shell.draft
+        self._stage.fine_steps, self._plan.draft = self._jogging.fine_steps, self.draft
         self._progress.note(view, self.shell.now_s())
         for pane in (self._stage, self._light, self._plan, self._progress):
             pane.show(view)
-        self._log.show(self.shell.logbook)
-        self._show_picture(view)
+        self._log.show(list(self.shell.state.log.lines))
+        meter = self.shell.meter
+        if self._picture.offer(view, meter.rate.detail, may_paint=meter.may_send_picture(), now_s=self.shell.now_s()):
+            self.call_after_refresh(self.shell.ask_terminal)
         self._jogging.follow(view)
         self._estimate_when_settled(view)
 
-    def _show_picture(self, view: RigView) -> None:
-        meter = self.shell.meter
-        if self._picture.offer(
-            view, meter.governor.detail, may_paint=meter.may_send_picture(), now_s=self.shell.now_s()
-        ):
-            self.call_after_refresh(self.shell.ask_terminal)
-
     def key_of(self, action: str) -> tuple[str, bool]:
         """The key of an action and whether it can be done now."""
-        for binding in self.actions():
-            if binding.action == action:
-                return self.shell.key_words(binding), not self.why_not_now(action)
-        return "", False
+        binding = next(binding for binding in self.own_bindings if binding.action == action)
+        if not self.check_action(action_name(action), ()):
+            return "", False
+        return self.shell.key_words(binding), not self.why_not_now(action)
 
-    # ---- the plan and what it takes ----
+    def why_not(self, action: str) -> str:
+        """A jog that would be refused because of our own move may be pressed: it waits for the end of the move."""
+        return "" if action == "jog" and self._jogging.in_flight else super().why_not(action)
 
-    def _change(self, draft: Draft | None) -> None:
-        if draft is not None:
-            self.shell.draft = draft
-            self.show_all(self.view)
+    # ---- the plan and its estimate ----
+
+    def _change(self, draft: ScanDraft) -> None:
+        self.shell.state.draft = draft
+        self.show_all(self.view)
 
     def _estimate_when_settled(self, view: RigView) -> None:
         status = view.status
         if not view.connected or status is None or is_running(status) or not status.position_trusted:
             return
-        wanted = (self.shell.draft, status.camera.get("exposure_ms"))
+        wanted = (self.draft, status.camera.get("exposure_ms"))
         if wanted == self._estimated:
             return
         self._estimated = wanted
         self._plan.estimate = Estimate()
         if self._settling is not None:
             self._settling.stop()
-        self._settling = self.set_timer(SETTLE_S, self._ask_estimate)
+        self._settling = self.set_timer(SETTLE_S, self._request_estimate)
 
-    def _ask_estimate(self) -> None:
-        draft = self.shell.draft
+    def _request_estimate(self) -> None:
+        draft = self.draft
 
         def take(answer: CommandAnswered) -> None:
-            if draft == self.shell.draft:
+            if draft == self.draft:
                 self._plan.estimate = Estimate.of_answer(ok=answer.ok, detail=answer.detail, result=answer.result)
                 self._plan.changed()
 
         self.send("estimate", take, **draft.scan_args())
 
     def action_set_first(self) -> None:
-        """First position from where the stage is."""
+        """First position: where the stage is."""
         assert self.view.status is not None
-        self._change(replace(self.shell.draft, first_steps=self.view.status.position_steps))
+        self._change(replace(self.draft, first_steps=self.view.status.position_steps))
 
     def action_set_last(self) -> None:
-        """Last position from where the stage is."""
+        """Last position: where the stage is."""
         assert self.view.status is not None
-        self._change(replace(self.shell.draft, last_steps=self.view.status.position_steps))
+        self._change(replace(self.draft, last_steps=self.view.status.position_steps))
 
     def action_plan(self) -> None:
         """Type the plan."""
-        draft, status = self.shell.draft, self.view.status
-        travel = status.travel_steps if status is not None else (0, 0)
-        fields = [
-            Field("first", "first", str(draft.first_steps), help="microsteps, or um (5010um), or mm (5.01mm)"),
-            Field("last", "last", str(draft.last_steps), help="below first sweeps the other way"),
-            Field("steps", "steps per frame", str(draft.steps_per_frame)),
-            Field("settle", "settle ms", f"{draft.settle_ms:g}"),
-            Field("mode", "mode", draft.mode, help="step stops for each frame, fly triggers at constant speed"),
-        ]
-        self.shell.push_screen(Form("plan", fields, lambda texts: parse_plan(texts, draft, travel)), self._change)
+        self.ask(plan_dialog(self.draft, self.view.status), self._change)
 
     def action_mode(self) -> None:
         """Step or fly."""
-        self._change(replace(self.shell.draft, mode="step" if self.shell.draft.mode == "fly" else "fly"))
+        self._change(replace(self.draft, mode="step" if self.draft.mode == "fly" else "fly"))
 
     def action_words(self) -> None:
-        """Name, specimen, operator, notes, tags."""
-        draft = self.shell.draft
-        fields = [
-            Field("name", "name", draft.name),
-            Field("specimen", "specimen", draft.specimen, words=True),
-            Field("operator", "operator", draft.operator, words=True),
-            Field("notes", "notes", draft.notes, words=True),
-            Field("tags", "tags", " ".join(draft.tags), words=True, help="separated by spaces or commas"),
-        ]
-        self.shell.push_screen(Form("what is scanned", fields, lambda texts: parse_words(texts, draft)), self._change)
+        """Type name, specimen, operator, notes, tags."""
+        self.ask(words_dialog(self.draft), self._change)
 
     def action_prescan(self) -> None:
-        """A quick look that proposes the bounds."""
+        """A coarse sweep that proposes the bounds."""
         self.send("prescan")
 
     def action_use_proposal(self) -> None:
-        """Take over bounds and exposure of the pre-scan."""
+        """Use the bounds and the exposure that the pre-scan proposes."""
         status = self.view.status
         if status is None or status.proposal is None:
             return
-        self._change(self.shell.draft.with_proposal(status.proposal))
+        self._change(self.draft.with_proposal(status.proposal))
         if not self.why_not_now("adjust") and status.camera.get("exposure_ms") != status.proposal.exposure_ms:
             self.send("camera", exposure_ms=status.proposal.exposure_ms)
 
@@ -209,22 +221,12 @@ class ScanScreen(CameraScreen):
 
     def action_start(self) -> None:
         """Ask for a name and start a sweep."""
-        draft, status = self.shell.draft, self.view.status
-        previous = scan_name(status).partition("-")[2] if status is not None else ""
-        name = draft.name if draft.name != Draft.name or not previous else previous
 
-        def start(chosen: str | None) -> None:
-            if chosen is not None:
-                self.shell.draft = replace(self.shell.draft, name=chosen)
-                self.send("scan", **self.shell.draft.scan_args())
+        def start(name: str) -> None:
+            self._change(replace(self.draft, name=name))
+            self.send("scan", **self.draft.scan_args())
 
-        estimate = self._plan.estimate
-        lines = [estimate.words(draft), *(f"! {words}" for words in estimate.warnings)]
-        if estimate.refused:
-            lines.append(f"! it would be refused: {estimate.refused}")
-        fields = [Field("name", "name", name)]
-        form = Form("start a sweep", fields, lambda texts: parse_name(texts["name"]), done="starts it", lines=lines)
-        self.shell.push_screen(form, start)
+        self.ask(start_dialog(self.draft, self._plan.estimate, self.view.status), start)
 
     def action_pause(self) -> None:
         """Hold the sweep."""
@@ -243,28 +245,27 @@ class ScanScreen(CameraScreen):
         title, unit, widest = _SETTINGS[setting]
         limits = status.camera_limits.get(setting, widest)
         value = status.camera.get(setting, limits[0])
-        setter = LatestValue(self, setting)
-        self.shell.push_screen(Adjust(title, unit, value, limits, setter.set))
+        self.app.push_screen(AdjustDialog(title, unit, value, limits, LatestValue(self, setting).set))
 
     def action_picture(self) -> None:
         """The next way to draw the picture."""
         mode = MODES[(MODES.index(self._picture.live.mode) + 1) % len(MODES)]
         self._picture.live.set_mode(mode)
-        self.say(f"picture: {'half blocks' if mode == 'half' else 'characters' if mode == 'mono' else 'off'}")
+        self.say(f"picture: {_MODE_WORDS[mode]}")
 
     # ---- the stage ----
 
     def action_jog(self, steps: int) -> None:
-        """One bounded move."""
+        """One bounded move of so many fine steps."""
         assert self.view.status is not None
         self._jogging.press(steps, self.view.status)
 
     def action_hold(self, direction: int) -> None:
-        """Move on while the key is held."""
+        """Move while the key is held."""
         self._jogging.hold(direction)
 
     def action_size(self, direction: int) -> None:
-        """Another fine step."""
+        """Another fine step: 1 larger, -1 smaller."""
         self._jogging.resize(direction)
         self.show_all(self.view)
 

@@ -1,10 +1,10 @@
-"""The scans screen: the folder of scans, and what can be done with one; nothing here touches a scan that is owned."""
+"""The scans screen: the folder of scans and what can be done with one; a scan that is being taken is never touched."""
 
 from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,22 @@ from textual.binding import Binding
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.scan_data.notes import Notes, write_notes
 from acquire.contract.units import format_bytes
+from tui.console.jobs import Job
 from tui.console.link.rig_view import RigView
 from tui.console.screens.base import RigScreenBase
-from tui.console.screens.dialogs import Confirm, Field, Form
+from tui.console.screens.dialogs import Confirm, FormDialog, FormField
 from tui.console.screens.reconstruct import ReconstructScreen
+from tui.console.shell import Shell
+from tui.console.state.scan_forms import parse_folder
 from tui.console.widgets.job_lines import JobLines
-from tui.console.widgets.rows import RowList
+from tui.console.widgets.rows import RowList, Rows
 from tui.console.widgets.scan_rows import ScanDetail, columns_of, row_of
-from tui.processes.child_jobs import Job
 from tui.scans.folder import ScanEntry, ScanFolder, held
 from tui.scans.scan_text import copy_words, reconstruct_words, recover_words, verify_words, why_not_now
 from tui.scans.trash import trash_scan
 
-CHANGES_SCANS = frozenset({"reprocess", "notes", "trash", "recover", "seal"})
-LOOK_S = 2.0
-"""How often the folder is looked at while this screen is in view."""
+POLL_S = 2.0
+"""How often the folder is listed while this screen is in view."""
 
 
 class ScansScreen(RigScreenBase):
@@ -40,9 +41,10 @@ class ScansScreen(RigScreenBase):
     NAME = "scans"
     SUMMARY = (
         "Every scan of the folder. Long work runs beside the screen and can be cancelled; "
-        "a scan that is running is never touched."
+        "a scan that is being taken is never touched."
     )
     CHANGES = frozenset({"resume"})
+    CHANGES_FILES = frozenset({"reprocess", "notes", "trash", "recover", "seal"})
     BINDINGS = [
         Binding("up", "move(-1)", "previous", show=False),
         Binding("down", "move(1)", "next", show=False),
@@ -52,85 +54,72 @@ class ScansScreen(RigScreenBase):
         Binding("end", "move(100000)", "oldest", show=False),
         Binding("o,enter", "open", "open", id="scans.open", tooltip="its maps on the reconstruct screen"),
         Binding("v", "verify", "verify", id="scans.verify", tooltip="read every frame and check it"),
-        Binding("m", "reprocess", "reprocess", id="scans.reprocess", tooltip="maps, cloud and report again"),
+        Binding("m", "reprocess", "reprocess", id="scans.reprocess", tooltip="make maps, cloud and report again"),
         Binding("n", "notes", "notes", id="scans.notes", tooltip="specimen, operator, notes, tags"),
         Binding("c", "copy", "copy", id="scans.copy", tooltip="copy it elsewhere and verify the copy"),
         Binding("d", "trash", "trash", id="scans.trash", tooltip="move it to the trash folder; nothing is erased"),
         Binding("r", "resume", "resume", id="scans.resume", tooltip="go on with an interrupted sweep"),
-        Binding("R", "recover", "recover", id="scans.recover", tooltip="check and mark a scan whose owner died"),
+        Binding("R", "recover", "recover", id="scans.recover", tooltip="check and mark a scan whose writer died"),
         Binding("S", "seal", "close", id="scans.seal", tooltip="close an interrupted scan for good"),
-        Binding("x", "cancel", "cancel", id="scans.cancel", tooltip="end the work on the chosen scan"),
+        Binding("x", "cancel", "cancel", id="scans.cancel", tooltip="cancel the work on the chosen scan"),
     ]
 
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(ascii_only=ascii_only)
-        self._list = RowList(id="scans", ascii_only=ascii_only, empty="looking at the folder of scans ...")
-        self._detail = ScanDetail(ascii_only=ascii_only)
-        self._jobs = JobLines(ascii_only=ascii_only)
+    def __init__(self, shell: Shell) -> None:
+        super().__init__(shell)
+        self._list = RowList(id="scans", empty="reading the folder of scans ...")
+        self._detail = ScanDetail()
+        self._job_lines = JobLines()
         self._entries: list[ScanEntry] = []
-        self._folder: ScanFolder | None = None
-        self._looking = False
+        self._folder = ScanFolder(shell.options.data_dir)
+        self._is_listing = False
         self._last: dict[str, str] = {}
+        """The result of the last work on each scan."""
 
     def body(self) -> ComposeResult:
-        """The list, the chosen one, what runs."""
+        """The list, the chosen scan, running jobs."""
         yield self._list
         yield self._detail
-        yield self._jobs
+        yield self._job_lines
 
     def on_mount(self) -> None:
-        """Look at the folder, again and again."""
-        self._folder = ScanFolder(self.shell.options.data_dir)
-        self.set_interval(LOOK_S, self._look_again)
-        self._look()
+        """List the folder, again and again."""
+        self.set_interval(POLL_S, lambda: self._list_folder() if self.is_current else None)
+        self._list_folder()
 
-    def _look_again(self) -> None:
-        if self.is_current:
-            self._look()
+    def _list_folder(self) -> None:
+        if not self._is_listing:
+            self._is_listing = True
+            self.run_worker(self._listed(), exit_on_error=False)
 
-    def _look(self) -> None:
-        if not self._looking and self._folder is not None:
-            self._looking = True
-            self.run_worker(self._looked(self._folder), exit_on_error=False)
-
-    async def _looked(self, folder: ScanFolder) -> None:
+    async def _listed(self) -> None:
         try:
-            self._entries = await asyncio.to_thread(folder.look)
-            self._list.say_when_empty(f"no scans in {folder.data_dir}: 1 goes to the scan screen")
+            self._entries = await asyncio.to_thread(self._folder.look)
+            self._list.say_when_empty(f"no scans in {self._folder.data_dir}: 1 goes to the scan screen")
         except (SweepscopeError, OSError) as error:
             self._list.say_when_empty(str(error))
         finally:
-            self._looking = False
+            self._is_listing = False
         self.show_all(self.view)
 
-    # ---- what is seen ----
+    # ---- what is shown ----
 
     def show(self, view: RigView) -> None:
         """List, detail, jobs."""
-        board, now = self.shell.jobs.board, datetime.now(UTC)
-        columns = columns_of(self._list.content_size.width - 2)
+        columns, now = columns_of(self._list.content_size.width - 2), datetime.now(UTC)
         header = Text("".join(f"{name:<{cells}}" for name, cells in columns))
-        rows = [
-            row_of(entry, board.running_on(str(entry.folder)), columns, now, ascii_only=self.ascii_only)
-            for entry in self._entries
-        ]
-        self._list.show(header, rows, [str(entry.folder) for entry in self._entries])
+        rows = [row_of(entry, self._job_on(entry), columns, now) for entry in self._entries]
+        self._list.show(Rows(header, rows, [str(entry.folder) for entry in self._entries]))
         self._list.border_title = self._title()
-        self._show_detail()
-        self._jobs.show(self.shell.jobs.work)
+        entry = self._chosen
+        self._detail.border_title = entry.folder.name if entry else "scan"
+        self._detail.show((entry, self._last.get(str(entry.folder), "") if entry else ""))
+        self._job_lines.show(self.jobs.work)
 
     def _title(self) -> str:
-        if not self._entries or self._folder is None:
+        if not self._entries:
             return "scans"
         total = sum(entry.size_bytes for entry in self._entries)
         return f"{len(self._entries)} scans, {format_bytes(total)}, {_free(self._folder.data_dir)} free"
-
-    def _show_detail(self) -> None:
-        entry = self._chosen
-        self._detail.entry = entry
-        self._detail.border_title = entry.folder.name if entry else "scan"
-        self._detail.last_words = self._last.get(str(entry.folder), "") if entry else ""
-        self._detail.changed()
 
     def on_row_list_moved(self) -> None:
         """Another scan: other things can be done."""
@@ -141,13 +130,10 @@ class ScansScreen(RigScreenBase):
         key = self._list.chosen
         return next((entry for entry in self._entries if str(entry.folder) == key), None)
 
-    # ---- what can be done ----
+    def _job_on(self, entry: ScanEntry) -> Job | None:
+        return self.jobs.running_on(str(entry.folder))
 
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """A read-only console changes no scan either."""
-        if action in CHANGES_SCANS and self.shell.read_only:
-            return False
-        return super().check_action(action, parameters)
+    # ---- what can be done ----
 
     def why_not(self, action: str) -> str:
         """The chosen scan's state decides."""
@@ -156,14 +142,15 @@ class ScansScreen(RigScreenBase):
             return ""
         if entry is None:
             return "no scan is chosen"
-        return why_not_now(action, entry, self.shell.jobs.board.running_on(str(entry.folder)))
+        job = self._job_on(entry)
+        return why_not_now(action, entry, job.title.split()[0] if job else "")
 
     def action_move(self, rows: int) -> None:
         """Choose another scan."""
         self._list.move(rows)
 
     def action_page(self, pages: int) -> None:
-        """Choose one that is further away."""
+        """Choose another scan, a page away."""
         self._list.move(pages * self._list.page)
 
     def action_open(self) -> None:
@@ -176,116 +163,110 @@ class ScansScreen(RigScreenBase):
         self.shell.action_go("reconstruct")
 
     def action_verify(self) -> None:
-        """Read every frame."""
-        self._job("verify", ["verify", "--progress", "--json"], verify_words)
+        """Read every frame and check it."""
+        self._work("verify", ["verify", "--progress", "--json"], verify_words)
 
     def action_reprocess(self) -> None:
-        """Make its maps and cloud again as the scan recorded it."""
-        self._job("reprocess", ["reconstruct", "--progress", "--json"], reconstruct_words)
+        """Make its maps and cloud again with the settings that the scan recorded."""
+        self._work("reprocess", ["reconstruct", "--progress", "--json"], reconstruct_words)
 
     def action_recover(self) -> None:
         """Check and mark it."""
-        self._job("recover", ["recover", "--json"], recover_words)
+        self._work("recover", ["recover", "--json"], recover_words)
 
     def action_seal(self) -> None:
         """Ask, then close it for good."""
         entry = self._chosen
         assert entry is not None
-        lines = (f"Close {entry.folder.name} for good?", "What was taken is kept; it can no longer be resumed.")
+        lines = (f"Close {entry.folder.name} for good?", "Its frames are kept; it can no longer be resumed.")
         seal = ["recover", "--seal", "--json"]
-        self._ask(Confirm(lines, "close it"), lambda: self._job("close", seal, recover_words, entry))
+        self.ask(Confirm(lines, "close it"), lambda _yes: self._work("close", seal, recover_words, entry))
 
     def action_resume(self) -> None:
-        """Go on with the sweep; the daemon proves first that light and specimen are where they were."""
+        """Go on with the sweep; the daemon first checks that light and specimen have not moved."""
         entry = self._chosen
         assert entry is not None
         self.send("resume_scan", path=str(entry.folder))
 
     def action_cancel(self) -> None:
-        """End the work on it."""
+        """Cancel the work on it."""
         entry = self._chosen
-        job = self.shell.jobs.board.running_on(str(entry.folder)) if entry else None
-        if job is not None:
-            self.shell.jobs.cancel(job)
+        assert entry is not None
+        self.jobs.cancel(self._job_on(entry))
 
     def action_copy(self) -> None:
         """Ask where to, then copy and verify."""
         entry = self._chosen
         assert entry is not None
         before = str(Path(entry.copies[-1].to).parent) if entry.copies else ""
-        field = Field("dest", "into the folder", before, help="on another disk; every file is read back and compared")
-
-        def copy(dest: str | None) -> None:
-            if dest:
-                self._job("copy", ["copy", "--progress", "--json"], copy_words, entry, [dest])
-
-        form = Form(f"copy {entry.folder.name}", [field], _folder_of, done="copies and verifies")
-        self.shell.push_screen(form, copy)
+        help_words = "on another disk; every file is read back and compared"
+        field = FormField("dest", "into the folder", before, help=help_words)
+        copy = ["copy", "--progress", "--json"]
+        form = FormDialog(
+            f"copy {entry.folder.name}", [field], lambda texts: parse_folder(texts["dest"]), done="copies and verifies"
+        )
+        self.ask(form, lambda dest: self._work("copy", copy, copy_words, entry, [dest]))
 
     def action_notes(self) -> None:
-        """Edit what people say about it."""
+        """Edit its notes."""
         entry = self._chosen
         assert entry is not None
         now = entry.notes
         fields = [
-            Field("specimen", "specimen", now.specimen, words=True),
-            Field("operator", "operator", now.operator, words=True),
-            Field("notes", "notes", now.notes, words=True),
-            Field("tags", "tags", ", ".join(now.tags), words=True, help="with commas between them"),
+            FormField("specimen", "specimen", now.specimen, words=True),
+            FormField("operator", "operator", now.operator, words=True),
+            FormField("notes", "notes", now.notes, words=True),
+            FormField("tags", "tags", ", ".join(now.tags), words=True, help="separated by commas"),
         ]
-
-        def write(notes: Notes | None) -> None:
-            if notes is not None:
-                self.run_worker(self._in_thread(lambda: _write(entry.folder, notes), "notes"), exit_on_error=False)
-
-        form = Form(f"notes on {entry.folder.name}", fields, lambda texts: _notes(now, texts), done="keeps them")
-        self.shell.push_screen(form, write)
+        form = FormDialog(
+            f"notes on {entry.folder.name}", fields, lambda texts: _parse_notes(now, texts), done="saves them"
+        )
+        self.ask(form, lambda notes: self._in_thread("notes", lambda: _write(entry.folder, notes)))
 
     def action_trash(self) -> None:
-        """Ask, then move it away."""
+        """Ask, then move it to the trash folder."""
         entry = self._chosen
         assert entry is not None
         kept = "It was copied and verified." if entry.copies else "IT WAS NEVER COPIED ELSEWHERE."
         lines = (f"Move {entry.folder.name} to the trash folder?", f"{kept} Nothing is erased.")
         data_dir = self.shell.options.data_dir
+        self.ask(
+            Confirm(lines, "move it there"),
+            lambda _yes: self._in_thread("trash", lambda: f"moved to {trash_scan(entry.folder.resolve(), data_dir)}"),
+        )
 
-        def move() -> None:
-            work = self._in_thread(lambda: f"in {trash_scan(entry.folder.resolve(), data_dir)} now", "trash")
-            self.run_worker(work, exit_on_error=False)
+    def _in_thread(self, what: str, work: Callable[[], str]) -> None:
+        async def run() -> None:
+            try:
+                self.say(f"{what}: {await asyncio.to_thread(work)}")
+            except (SweepscopeError, OSError) as error:
+                self.say(f"{what}: {error}", "error")
+            self._list_folder()
 
-        self._ask(Confirm(lines, "move it there"), move)
+        self.run_worker(run(), exit_on_error=False)
 
-    def _ask(self, question: Confirm, then: Callable[[], Any]) -> None:
-        self.shell.push_screen(question, lambda yes: then() if yes else None)
-
-    async def _in_thread(self, work: Callable[[], str], what: str) -> None:
-        try:
-            self.say(f"{what}: {await asyncio.to_thread(work)}")
-        except (SweepscopeError, OSError) as error:
-            self.say(f"{what}: {error}", "error")
-        self._look()
-
-    def _job(
+    def _work(
         self,
         what: str,
-        arguments: list[str],
+        arguments: Sequence[str],
         words: Callable[[dict[str, Any]], str],
         entry: ScanEntry | None = None,
-        more: list[str] | None = None,
+        more: Sequence[str] = (),
     ) -> None:
+        """Run a command on a scan, by default the chosen one; ``words`` makes its result readable."""
         entry = entry or self._chosen
         assert entry is not None
-        folder = str(entry.folder)
+        folder, name = str(entry.folder), entry.folder.name
 
         def ended(job: Job) -> None:
-            told = words(job.result) if job.result is not None and not job.cancelled else job.end_words()
-            self._last[folder] = f"{what}: {told}" if job.result is not None and not job.cancelled else told
+            self._last[folder] = job.end_words()
             if job.result is not None and not job.cancelled:
-                self.say(f"{entry.folder.name}: {self._last[folder]}", "info" if job.ok else "error")
-            self._look()
+                self._last[folder] = f"{what}: {words(job.result)}"
+                self.say(f"{name}: {self._last[folder]}", "info" if job.ok else "error")
+            self._list_folder()
 
-        command = [arguments[0], folder, *(more or []), *arguments[1:]]
-        self.shell.jobs.start(f"{what} {entry.folder.name}", command, folder, ended)
+        command = [arguments[0], folder, *more, *arguments[1:]]
+        self.jobs.start(f"{what} {name}", command, folder, ended)
 
 
 def _free(folder: Path) -> str:
@@ -295,14 +276,7 @@ def _free(folder: Path) -> str:
         return "?"
 
 
-def _folder_of(texts: dict[str, str]) -> str:
-    dest = Path(texts["dest"]).expanduser()
-    if not texts["dest"] or not dest.is_absolute():
-        raise ValueError("give the whole path of a folder that is there, for example /mnt/disk/scans")
-    return str(dest)
-
-
-def _notes(now: Notes, texts: dict[str, str]) -> Notes:
+def _parse_notes(now: Notes, texts: dict[str, str]) -> Notes:
     tags = [tag.strip() for tag in texts["tags"].split(",") if tag.strip()]
     try:
         return msgspec.convert({**msgspec.to_builtins(now), **texts, "tags": tags}, Notes)
@@ -313,4 +287,4 @@ def _notes(now: Notes, texts: dict[str, str]) -> Notes:
 def _write(folder: Path, notes: Notes) -> str:
     with held(folder):
         write_notes(folder, notes)
-    return f"kept beside {folder.name}"
+    return f"saved beside {folder.name}"

@@ -1,4 +1,4 @@
-"""What the daemon says that a scan would take, or why it would refuse it; pure."""
+"""What a scan would take according to the daemon, or why the daemon would refuse it; pure."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from acquire.contract.units import format_bytes, format_duration
-from tui.console.state.scan_draft import Draft
+from tui.console.state.scan_draft import ScanDraft
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """An answer to ``estimate``; as made, nothing is known yet."""
+    """An answer to ``estimate``; the default is: not known."""
 
     known: bool = False
     expected: int = 0
@@ -25,7 +25,7 @@ class Estimate:
 
     @classmethod
     def of_answer(cls, *, ok: bool, detail: str, result: Mapping[str, Any]) -> Estimate:
-        """What a reply says; a reply without numbers says nothing."""
+        """From a reply; one without numbers leaves it unknown."""
         if not ok:
             return cls(refused=detail)
         try:
@@ -40,7 +40,7 @@ class Estimate:
         except (KeyError, TypeError, ValueError):
             return cls()
 
-    def words(self, draft: Draft, width: int = 80) -> str:
+    def words(self, draft: ScanDraft, width: int = 80) -> str:
         """``527 frames  0:00:36  415.2 MB of 80.1 GB free``, without the free space where there is no room."""
         if not self.known:
             return f"{draft.frames} frames"

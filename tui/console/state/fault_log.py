@@ -1,36 +1,36 @@
-"""Every fault of this session, acknowledged or not, with its time of day: what was seen once is never hidden."""
+"""Every fault of this session with its time of day, acknowledged or not, also those that the daemon has dropped."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 from acquire.contract.messaging.messages import FaultReport
 from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
 
-MOST = 500
+MAX_FAULTS = 500
 
 
 @dataclass(frozen=True)
-class BookedFault:
+class LoggedFault:
     """A fault and when it happened."""
 
     report: FaultReport
     at: str
     """Local date and time of day."""
-    still_told: bool
-    """The daemon still tells of it; False once it has been started again or has let it go."""
+    current: bool = True
+    """The daemon still reports it; False once it has dropped it or was restarted."""
 
     @property
     def key(self) -> tuple[str, int]:
-        """Tells it from others."""
+        """Code and time: what identifies a fault."""
         return self.report.code, self.report.at_mono_ns
 
     def as_text(self) -> str:
-        """The whole of it, for a message to somebody else."""
+        """All of it, for a message to somebody else."""
         seen = "acknowledged" if self.report.acknowledged else "not acknowledged"
         return (
             f"{self.at}  {self.report.code}  {self.report.happened}\n  safe:  {self.report.safe}\n"
@@ -38,29 +38,26 @@ class BookedFault:
         )
 
 
-class FaultBook:
-    """Takes each status' faults; the newest first."""
+class FaultLog:
+    """Takes the faults of each status."""
 
     def __init__(self, wall_time: Callable[[int], str] | None = None) -> None:
-        """``wall_time``: local time of day of a CLOCK_MONOTONIC in ns."""
+        """``wall_time``: local date and time of a CLOCK_MONOTONIC in ns."""
         self._wall_time = wall_time or _wall_time
-        self._faults: dict[tuple[str, int], BookedFault] = {}
+        self._faults: dict[tuple[str, int], LoggedFault] = {}
 
     def take(self, reports: Iterable[FaultReport]) -> None:
-        """What the daemon tells now."""
-        told = {(report.code, report.at_mono_ns): report for report in reports}
-        for key, fault in self._faults.items():
-            if key not in told and fault.still_told:
-                self._faults[key] = BookedFault(fault.report, fault.at, still_told=False)
-        for key, report in told.items():
+        """The faults that the daemon reports now."""
+        self._faults = {key: replace(fault, current=False) for key, fault in self._faults.items()}
+        for report in reports:
+            key = (report.code, report.at_mono_ns)
             known = self._faults.get(key)
-            at = known.at if known else self._wall_time(report.at_mono_ns)
-            self._faults[key] = BookedFault(report, at, still_told=True)
-        while len(self._faults) > MOST:
+            self._faults[key] = LoggedFault(report, known.at if known else self._wall_time(report.at_mono_ns))
+        while len(self._faults) > MAX_FAULTS:
             self._faults.pop(next(iter(self._faults)))
 
     @property
-    def faults(self) -> list[BookedFault]:
+    def faults(self) -> list[LoggedFault]:
         """The newest first."""
         return sorted(self._faults.values(), key=lambda fault: fault.report.at_mono_ns, reverse=True)
 

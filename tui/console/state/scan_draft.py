@@ -1,4 +1,4 @@
-"""The sweep that is being prepared on the scan screen, and what a change of it means; pure."""
+"""The sweep that is being prepared on the scan screen; pure."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from acquire.contract.messaging.messages import Proposal
 
 
 @dataclass(frozen=True)
-class Draft:
-    """Everything that a scan can be told before it starts."""
+class ScanDraft:
+    """Everything that can be set before a scan starts."""
 
     first_steps: int = 0
     """Position of frame 0 in microsteps."""
@@ -21,7 +21,7 @@ class Draft:
     mode: str = "step"
     """``step`` or ``fly``."""
     settle_ms: float = 5.0
-    """Rest between the end of a step and the trigger, in ms."""
+    """Time between the end of a step and the trigger, in ms."""
     um_per_microstep: float = 3.175
     run_up_steps: int = 48
     name: str = "sweep"
@@ -32,8 +32,8 @@ class Draft:
     purpose: str = "object"
 
     @classmethod
-    def of_config(cls, rig: RigConfig, operator: str = "") -> Draft:
-        """What the configuration says of a sweep."""
+    def of_config(cls, rig: RigConfig, operator: str = "") -> ScanDraft:
+        """The draft that the configuration gives."""
         return cls(
             first_steps=rig.sweep.first_steps,
             last_steps=rig.sweep.last_steps,
@@ -51,7 +51,7 @@ class Draft:
         return abs(self.last_steps - self.first_steps) // max(1, self.steps_per_frame) + 1
 
     def um(self, steps: int) -> float:
-        """Microsteps in um."""
+        """A position or distance in um."""
         return steps * self.um_per_microstep
 
     def plan_args(self) -> dict[str, Any]:
@@ -75,6 +75,6 @@ class Draft:
             "purpose": self.purpose,
         }
 
-    def with_proposal(self, proposal: Proposal) -> Draft:
-        """Bounds taken over from a pre-scan."""
+    def with_proposal(self, proposal: Proposal) -> ScanDraft:
+        """The draft with the bounds of a pre-scan."""
         return replace(self, first_steps=proposal.first_steps, last_steps=proposal.last_steps)

@@ -1,24 +1,25 @@
-"""What people type on the scan screen, read and checked: positions, the plan, a name; ValueErrors are words; pure."""
+"""Parsers of what people type into forms: positions, the plan, names, folders; ValueErrors say what is wrong; pure."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
-from tui.console.state.scan_draft import Draft
+from tui.console.state.scan_draft import ScanDraft
 
-NAME_WORDS = "that is no name: use 1 to 64 letters, digits, - _ . without spaces"
+NAME_WORDS = "not a name: use 1 to 64 letters, digits, - _ . without spaces"
 
 
 def parse_position(text: str, um_per_microstep: float) -> int:
     """Microsteps of ``1578``, ``1578 steps``, ``5010um`` or ``5.01mm`` (um and mm to the nearest microstep).
 
     Raises:
-        ValueError: it is no position.
+        ValueError: it is not a position.
     """
     found = re.fullmatch(r"\s*([+-]?\d+(?:\.\d+)?)\s*(steps|um|mm)?\s*", text)
     if found is None:
-        raise ValueError(f"{text!r} is no position: type microsteps (1578), or um (5010um)")
+        raise ValueError(f"{text!r} is not a position: type microsteps (1578), or um (5010um)")
     value, unit = float(found[1]), found[2] or "steps"
     if unit == "steps":
         if not value.is_integer():
@@ -31,22 +32,22 @@ def parse_number(text: str, label: str, low: float, high: float) -> float:
     """A number within limits.
 
     Raises:
-        ValueError: no number, or outside.
+        ValueError: not a number, or outside.
     """
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{label}: {text!r} is no number") from None
+        raise ValueError(f"{label}: {text!r} is not a number") from None
     if not low <= value <= high:
         raise ValueError(f"{label}: {text} is outside of {low:g} to {high:g}")
     return value
 
 
-def parse_plan(texts: dict[str, str], draft: Draft, travel_steps: tuple[int, int]) -> Draft:
+def parse_plan(texts: dict[str, str], draft: ScanDraft, travel_steps: tuple[int, int]) -> ScanDraft:
     """The draft with the plan that was typed.
 
     Raises:
-        ValueError: something does not fit.
+        ValueError: a value is wrong or outside its limits.
     """
     first = parse_position(texts["first"], draft.um_per_microstep)
     last = parse_position(texts["last"], draft.um_per_microstep)
@@ -65,7 +66,7 @@ def parse_plan(texts: dict[str, str], draft: Draft, travel_steps: tuple[int, int
     )
 
 
-def parse_words(texts: dict[str, str], draft: Draft) -> Draft:
+def parse_words(texts: dict[str, str], draft: ScanDraft) -> ScanDraft:
     """The draft with name, specimen, operator, notes, tags.
 
     Raises:
@@ -91,3 +92,15 @@ def parse_name(text: str) -> str:
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", text) is None:
         raise ValueError(NAME_WORDS)
     return text
+
+
+def parse_folder(text: str) -> str:
+    """An absolute path, ``~`` expanded.
+
+    Raises:
+        ValueError: it is not absolute.
+    """
+    path = Path(text).expanduser()
+    if not text or not path.is_absolute():
+        raise ValueError("give the whole path of a folder, for example /mnt/disk/scans")
+    return str(path)

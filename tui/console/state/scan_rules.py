@@ -15,16 +15,16 @@ COMMAND_OF: Final = {
     "pose": "specimen",
     "object": "specimen",
 }
-"""Actions that bear another name than the command that they give."""
+"""Actions whose command has another name."""
 
 
 def why_not(action: str, status: Status | None) -> str:
-    """Why ``action`` cannot be done now; empty if it can. Actions that the rig does not mind are not looked at."""
+    """Why ``action`` cannot be done now; empty if it can, also for actions that do not concern the rig."""
     command = COMMAND_OF.get(action, action)
     if command not in PERMISSIONS and action not in ("use_proposal", "set_first", "set_last"):
         return ""
     if status is None:
-        return "nothing is known of the rig"
+        return "the state of the rig is not known"
     if action == "use_proposal":
         return "" if status.proposal is not None else "there is no proposal: w looks for the bounds"
     if action in ("set_first", "set_last"):

@@ -1,32 +1,35 @@
-"""STOP from the key press to the rig's own word: what was sent, what is confirmed, what the screens say meanwhile."""
+"""STOP from the key to the confirmation by the rig's own state; pure.
+
+The thread that reads the keys sends STOP, the event loop announces it; either may hear of the other first.
+"""
 
 from __future__ import annotations
 
 from acquire.contract.messaging.messages import Status
-from acquire.contract.states import State
-from tui.text.status_text import MOVING_STATES, position_words
+from acquire.contract.states import RUNNING_STATES, State
+from tui.text.status_text import position_words
 
-_MOVING = MOVING_STATES - {State.PREVIEW}
+_MOVING = RUNNING_STATES | {State.HOMING, State.MOVING}
 
 
-class StopWatch:
-    """The thread that reads the keys sends STOP; the loop announces it, in whatever order the two are heard of."""
+class StopState:
+    """What was sent and what is confirmed."""
 
     def __init__(self) -> None:
         self.words = ""
-        """What the screens show until the rig has confirmed; empty when nothing is open."""
+        """What the screens show until the rig has confirmed the stop; empty otherwise."""
         self._unannounced = 0
-        self._keys_to_swallow = 0
+        self._keys_to_ignore = 0
         self._answered_ns: int | None = None
 
     def sent_early(self) -> None:
-        """STOP was sent by the thread that reads the keys; the key itself follows through the loop."""
+        """The thread that reads the keys has sent STOP; the key itself follows through the loop."""
         self._unannounced += 1
 
     def pressed(self) -> bool:
-        """The key came through the loop; True if STOP has still to be sent."""
-        if self._keys_to_swallow:
-            self._keys_to_swallow -= 1
+        """The key arrived through the loop; True if STOP must still be sent."""
+        if self._keys_to_ignore:
+            self._keys_to_ignore -= 1
             return False
         must_send = not self._unannounced
         self._unannounced = max(0, self._unannounced - 1)
@@ -38,21 +41,21 @@ class StopWatch:
         self.words = "STOP sent"
 
     def answered(self, *, ok: bool, at_mono_ns: int) -> None:
-        """The daemon took it, or it was given up; this may be heard before the key itself."""
+        """The daemon accepted STOP, or never answered; this may come before the key itself."""
         if self._unannounced:
             self._unannounced -= 1
-            self._keys_to_swallow += 1
+            self._keys_to_ignore += 1
             self._announce()
         self._answered_ns = at_mono_ns
         if not ok:
             self.words = "STOP NOT CONFIRMED"
 
-    def judge(self, status: Status) -> str:
-        """Confirmed by the rig's state alone, said after the daemon had taken the command; returns the line to say."""
+    def take_status(self, status: Status) -> str:
+        """Only a state that was sent after the daemon accepted STOP confirms it; returns the line for the log."""
         if not self.words or self._answered_ns is None or status.sent_mono_ns < self._answered_ns:
             return ""
         if status.state == State.FINISHING:
-            self.words = "STOP taken: saving what was taken"
+            self.words = "STOP accepted: saving the frames"
         elif status.state not in _MOVING:
             self.words = ""
             return f"stopped at {position_words(status)}"

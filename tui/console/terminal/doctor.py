@@ -1,4 +1,4 @@
-"""`sweepscope console doctor`: what this terminal and its link can do, and the mend for what they cannot."""
+"""`sweepscope console doctor`: what this terminal and its link can do, and the fix for what they cannot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from tui.console.screens.base import LEAST_HEIGHT, LEAST_WIDTH
-from tui.console.terminal.terminal import colours_of
+from tui.console.terminal.terminal import LEAST_HEIGHT, LEAST_WIDTH, colours_of
 
 ANSWER_S = 2.0
 """Longest wait for the terminal's answer; over SSH it may take a second."""
@@ -29,12 +28,12 @@ SLOW_BYTES_PER_S = 100_000
 
 
 @dataclass(frozen=True)
-class Finding:
+class TerminalFinding:
     """One line of the doctor's report."""
 
     name: str
     value: str
-    mend: str = ""
+    fix: str = ""
     """What to do; empty if nothing is wrong."""
 
 
@@ -52,7 +51,7 @@ class Measured:
 
 def findings(
     environ: Mapping[str, str], size: tuple[int, int], measured: Measured, tmux: Mapping[str, str]
-) -> list[Finding]:
+) -> list[TerminalFinding]:
     """The report; ``tmux`` holds its options by name, empty outside of tmux."""
     return [
         *_colours(environ),
@@ -63,77 +62,81 @@ def findings(
     ]
 
 
-def _colours(environ: Mapping[str, str]) -> Iterator[Finding]:
+def _colours(environ: Mapping[str, str]) -> Iterator[TerminalFinding]:
     term = environ.get("TERM", "")
     wrong = "" if term not in ("", "dumb") else "export TERM=xterm-256color"
-    yield Finding("TERM", term or "not set", wrong)
+    yield TerminalFinding("TERM", term or "not set", wrong)
     colours = colours_of(environ)
-    mend = ""
+    fix = ""
     if colours == "16":
-        mend = "if the terminal has 256 colours: export TERM=xterm-256color; else the picture is drawn in characters"
-    yield Finding("COLORTERM", environ.get("COLORTERM") or "not set")
-    yield Finding("colours", f"{colours}; ssh does not pass COLORTERM on: --color truecolor says it", mend)
+        fix = "if it has 256 colours: export TERM=xterm-256color; else the picture is drawn in characters"
+    yield TerminalFinding("COLORTERM", environ.get("COLORTERM") or "not set")
+    yield TerminalFinding("colours", f"{colours}; ssh does not pass COLORTERM on: --color truecolor says it", fix)
 
 
-def _size(size: tuple[int, int]) -> Finding:
+def _size(size: tuple[int, int]) -> TerminalFinding:
     small = size[0] < LEAST_WIDTH or size[1] < LEAST_HEIGHT
-    return Finding("size", f"{size[0]} x {size[1]} cells", f"at least {LEAST_WIDTH} x {LEAST_HEIGHT}" if small else "")
+    return TerminalFinding(
+        "size", f"{size[0]} x {size[1]} cells", f"at least {LEAST_WIDTH} x {LEAST_HEIGHT}" if small else ""
+    )
 
 
-def _tmux(environ: Mapping[str, str], tmux: Mapping[str, str]) -> Iterator[Finding]:
+def _tmux(environ: Mapping[str, str], tmux: Mapping[str, str]) -> Iterator[TerminalFinding]:
     if not environ.get("TMUX"):
-        yield Finding("tmux", "no; in tmux a lost link leaves the console running: 'tmux new -A -s rig'")
+        yield TerminalFinding("tmux", "no; in tmux a lost link leaves the console running: 'tmux new -A -s rig'")
         return
-    yield Finding(
+    yield TerminalFinding(
         "tmux", f"yes, passthrough {tmux.get('allow-passthrough', 'unknown')} (not needed: no pictures go by it)"
     )
     late = tmux.get("escape-time", "")
     if late.isdigit() and int(late) > 100:
-        yield Finding("tmux escape-time", f"{late} ms", "Escape is slow: tmux set -sg escape-time 20")
+        yield TerminalFinding("tmux escape-time", f"{late} ms", "Escape is slow: tmux set -sg escape-time 20")
     outer = tmux.get("client_termfeatures", "")
     if outer and "RGB" not in outer:
-        yield Finding(
+        yield TerminalFinding(
             "tmux colours", "256 to the outer terminal", "if it has truecolor: tmux set -as terminal-features ',*:RGB'"
         )
 
 
-def _link(measured: Measured) -> Iterator[Finding]:
+def _link(measured: Measured) -> Iterator[TerminalFinding]:
     if measured.round_trip_s is None:
-        yield Finding(
+        yield TerminalFinding(
             "round trip",
             "the terminal does not answer",
             "the picture's rate then follows this machine's own queue only",
         )
         return
-    yield Finding("round trip", f"{1000 * measured.round_trip_s:.0f} ms")
+    yield TerminalFinding("round trip", f"{1000 * measured.round_trip_s:.0f} ms")
     rate = measured.rate_bytes_per_s
     if rate is None:
-        yield Finding("link", "faster than 2 MB/s")
+        yield TerminalFinding("link", "faster than 2 MB/s")
     else:
         slow = rate < SLOW_BYTES_PER_S
-        mend = "ssh -C compresses; --picture off saves most of it" if slow else ""
-        yield Finding("link", f"{rate / 1000:.0f} kB/s", mend)
-    yield Finding("synchronised output", "yes" if measured.synchronised else "no: pictures may tear, nothing else")
+        fix = "ssh -C compresses; --picture off saves most of it" if slow else ""
+        yield TerminalFinding("link", f"{rate / 1000:.0f} kB/s", fix)
+    yield TerminalFinding(
+        "synchronised output", "yes" if measured.synchronised else "no: pictures may tear, nothing else"
+    )
 
 
-def _locale(environ: Mapping[str, str]) -> Finding:
+def _locale(environ: Mapping[str, str]) -> TerminalFinding:
     name = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or ""
     utf8 = "utf-8" in name.lower() or "utf8" in name.lower()
-    return Finding("locale", name or "not set", "" if utf8 else "export LANG=C.UTF-8, or start with --ascii")
+    return TerminalFinding("locale", name or "not set", "" if utf8 else "export LANG=C.UTF-8, or start with --ascii")
 
 
-# ---- the rim ----
+# ---- measuring ----
 
 
 def examine(say: Callable[[str], None], environ: Mapping[str, str] = os.environ) -> int:
-    """Measure this terminal and say what was found; returns the number of things to mend."""
+    """Measure this terminal and say what was found; returns the number of things to fix."""
     size = shutil.get_terminal_size()
     found = findings(environ, (size.columns, size.lines), measure(), _tmux_options(environ))
     for finding in found:
-        say(f"{'!' if finding.mend else ' '} {finding.name:<20} {finding.value}")
-        if finding.mend:
-            say(f"  {'':<20} mend: {finding.mend}")
-    return sum(bool(finding.mend) for finding in found)
+        say(f"{'!' if finding.fix else ' '} {finding.name:<20} {finding.value}")
+        if finding.fix:
+            say(f"  {'':<20} fix: {finding.fix}")
+    return sum(bool(finding.fix) for finding in found)
 
 
 def measure() -> Measured:

@@ -1,4 +1,4 @@
-"""What the terminal can do; the console is never opened where its pictures would end up in a pipe or a file."""
+"""What the terminal can do; the console is never opened where its output would end up in a pipe or a file."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from acquire.contract.errors import SweepscopeError
 
 _MOUSE_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l"
 SSH_FRAMES_PER_S = "15"
+LEAST_WIDTH, LEAST_HEIGHT = 60, 20
+"""Cells that the screens need."""
 COLOURS = ("auto", "truecolor", "256", "16", "none")
 _TEXTUAL_COLOURS = {"truecolor": "truecolor", "256": "256", "16": "standard", "none": "standard"}
 
@@ -21,7 +23,7 @@ def is_terminal() -> bool:
 
 
 def require_terminal(what: str) -> None:
-    """Raise SweepscopeError unless a person sits at all three streams."""
+    """Raise SweepscopeError unless all three streams are terminals."""
     missing = [
         name
         for name, stream in (("stdin", sys.stdin), ("stdout", sys.stdout), ("stderr", sys.stderr))
@@ -29,7 +31,7 @@ def require_terminal(what: str) -> None:
     ]
     if missing:
         raise SweepscopeError(
-            f"{what} needs a terminal and {', '.join(missing)} is none: run it without pipes, "
+            f"{what} needs a terminal and {', '.join(missing)} is not one: run it without pipes, "
             "or use 'sweepscope status' and 'sweepscope scan'"
         )
 
@@ -55,7 +57,7 @@ def picture_mode(colours: str, *, ascii_only: bool) -> str:
 
 
 def choose_colours(wanted: str, environ: MutableMapping[str, str] = os.environ) -> str:
-    """Settle the colours for this process; must be called before Textual is loaded. Returns what was settled."""
+    """Set the colours of this process; must be called before Textual is imported. Returns what was chosen."""
     colours = colours_of(environ, wanted)
     environ["TEXTUAL_COLOR_SYSTEM"] = _TEXTUAL_COLOURS[colours]
     if colours == "none":
@@ -66,10 +68,10 @@ def choose_colours(wanted: str, environ: MutableMapping[str, str] = os.environ) 
 
 
 def prepare_terminal(environ: MutableMapping[str, str] = os.environ) -> None:
-    """Quieten the terminal before Textual starts: mouse reports left on by a lost link, paint rate over SSH.
+    """Prepare the terminal before Textual starts: mouse reports left on by a lost link, paint rate over SSH.
 
-    A size that somebody has exported would be believed for ever, whatever becomes of the window: it is forgotten. Where
-    Ctrl-C was ignored when this began (in the background of a script), it is not for the programs that it starts.
+    An exported COLUMNS or LINES is dropped: it would hide all later changes of the window's size. Where SIGINT was
+    ignored (started in the background of a script), it is restored: child programs inherit it and are ended by it.
     """
     for name in ("COLUMNS", "LINES"):
         environ.pop(name, None)

@@ -1,6 +1,6 @@
-"""The terminal's driver: STOP leaves from the thread that reads the keys, and all output is measured.
+"""The terminal's driver: STOP is sent from the thread that reads the keys, and all output is measured.
 
-Textual paints through a bounded queue that blocks its loop while the terminal takes nothing; keys are read by a
+Textual paints through a bounded queue that blocks its loop while the terminal takes no output; keys are read by a
 thread of their own. So STOP is sent from there, before anything is painted, and painting pauses while it would queue.
 """
 
@@ -8,39 +8,38 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any, Protocol, cast
 
 from textual import events
+from textual.app import App
 from textual.drivers.linux_driver import LinuxDriver
 from textual.message import Message
 
-from tui.console.pictures.picture_rate import Governor
-
-if TYPE_CHECKING:
-    from textual.app import App
+from tui.console.keys import STOP_KEY
+from tui.console.pictures.picture_rate import PictureRate
 
 ASK = "\x1b[6n"
-"""Where is the cursor? Its answer says that everything before it was taken."""
+"""Cursor position report: its answer means that the terminal has processed everything before it."""
 LAST_ANSWER_S = 0.5
-"""At the end an answer that is still under way is awaited so long, so that the shell does not get it as typing."""
+"""At the end, an open answer is awaited for so long: otherwise the shell would get it as typed text."""
 
 
-class Meter:
-    """Bytes on their way to the terminal, and the governor that they feed; safe from any thread."""
+class OutputMeter:
+    """Bytes on their way to the terminal, and the picture rate that follows from them; safe from any thread."""
 
-    def __init__(self, governor: Governor | None = None) -> None:
-        self.governor = governor or Governor()
+    def __init__(self, rate: PictureRate | None = None) -> None:
+        self.rate = rate or PictureRate()
         self.handed_bytes = 0
         self.written_bytes = 0
         self.gone = False
-        """True once the terminal is gone: what is written is dropped."""
+        """True once the terminal is gone: further output is dropped."""
         self._lock = threading.Lock()
         self._blocked_since_s: float | None = None
         self._asked_at_bytes = 0
         self.answered_event = threading.Event()
 
     def handed(self, nbytes: int) -> None:
-        """The painter handed over ``nbytes``."""
+        """Textual handed over ``nbytes``."""
         with self._lock:
             self.handed_bytes += nbytes
 
@@ -56,50 +55,50 @@ class Meter:
 
     @property
     def backlog_bytes(self) -> int:
-        """Handed over and not written yet."""
+        """Handed over and not yet written."""
         return self.handed_bytes - self.written_bytes
 
     def stalled(self) -> bool:
-        """True while the terminal takes nothing."""
+        """True while the terminal takes no output."""
         since_s = self._blocked_since_s
         now_s = time.monotonic()
         with self._lock:
-            return self.governor.stalled(now_s, now_s - since_s if since_s is not None else 0.0)
+            return self.rate.stalled(now_s, now_s - since_s if since_s is not None else 0.0)
 
     def may_send_picture(self) -> bool:
         """True if a picture may be painted now."""
         with self._lock:
-            return self.governor.may_send(time.monotonic(), self.backlog_bytes)
+            return self.rate.may_send(time.monotonic(), self.backlog_bytes)
 
     def wants_bare(self) -> bool:
-        """True if the terminal should be asked now, with no picture before the question."""
+        """True if the terminal should be asked now without a picture before the question."""
         with self._lock:
-            return not self.backlog_bytes and self.governor.wants_bare(time.monotonic())
+            return not self.backlog_bytes and self.rate.wants_bare(time.monotonic())
 
     def asked(self, *, picture: bool) -> None:
-        """A question was handed over, behind a picture or by itself."""
+        """A question was handed over, behind a picture or alone."""
         with self._lock:
             self.answered_event.clear()
             nbytes = self.handed_bytes - self._asked_at_bytes if picture else 0
-            self.governor.asked(time.monotonic(), nbytes, picture=picture)
+            self.rate.asked(time.monotonic(), nbytes, picture=picture)
             self._asked_at_bytes = self.handed_bytes
 
     def answered(self) -> None:
         """The terminal answered."""
         with self._lock:
-            self.governor.answered(time.monotonic())
+            self.rate.answered(time.monotonic())
         self.answered_event.set()
 
     def words(self) -> str:
         """``link 180 kB/s, picture 3 Hz``."""
         with self._lock:
-            return self.governor.words(time.monotonic())
+            return self.rate.words(time.monotonic())
 
 
 class _MeasuredFile:
-    """The terminal as a file that says when a write is through, and that outlives the terminal."""
+    """The terminal as a file that reports each finished write, and that survives the terminal."""
 
-    def __init__(self, file: IO[str], meter: Meter) -> None:
+    def __init__(self, file: IO[str], meter: OutputMeter) -> None:
         self._file, self._meter = file, meter
 
     def write(self, text: str) -> int:
@@ -115,7 +114,7 @@ class _MeasuredFile:
             if not self._meter.gone:
                 work(*args)
         except OSError:
-            self._meter.gone = True  # a hung-up terminal: the loop must come to its end, not wait for it
+            self._meter.gone = True  # the terminal hung up: the loop must end, not wait for it
         finally:
             self._meter.end_write(nbytes)
 
@@ -126,12 +125,19 @@ class _MeasuredFile:
         return self._file.isatty()
 
 
+class _Stoppable(Protocol):
+    meter: OutputMeter
+
+    def stop_early(self) -> None: ...
+
+
 class ConsoleDriver(LinuxDriver):
-    """Textual's driver with STOP ahead of everything and a meter on the output."""
+    """Textual's driver with STOP before everything else and a meter on the output."""
 
     def __init__(self, app: App[Any], **options: Any) -> None:
         super().__init__(app, **options)
-        self._meter: Meter = app.meter  # type: ignore[attr-defined]
+        self._console = cast(_Stoppable, app)
+        self._meter = self._console.meter
         self._file: Any = _MeasuredFile(self._file, self._meter)
 
     def write(self, data: str) -> None:
@@ -140,22 +146,22 @@ class ConsoleDriver(LinuxDriver):
         super().write(data)
 
     def ask(self, *, picture: bool) -> None:
-        """Ask the terminal to answer once it has taken everything so far."""
+        """Ask the terminal to answer once it has processed everything so far."""
         self._meter.asked(picture=picture)
-        if not self._meter.governor.deaf:
+        if not self._meter.rate.deaf:
             self.write(ASK)
 
     def process_message(self, message: Message) -> None:
         """Runs in the thread that reads the keys."""
-        if isinstance(message, events.Key) and message.key == "space":
-            self._app.stop_early()  # type: ignore[attr-defined]
+        if isinstance(message, events.Key) and message.key == STOP_KEY:
+            self._console.stop_early()
         elif isinstance(message, events.CursorPosition):
             self._meter.answered()
             return
         super().process_message(message)
 
     def stop_application_mode(self) -> None:
-        """Restore the terminal, once its last answer is in."""
-        if self._meter.governor.asking and not self._meter.gone:
+        """Restore the terminal, after its last answer."""
+        if self._meter.rate.asking and not self._meter.gone:
             self._meter.answered_event.wait(LAST_ANSWER_S)
         super().stop_application_mode()

@@ -16,12 +16,10 @@ _CORNER = Style(color="#00ff9c", bold=True)
 
 
 class BoardPicture(LivePicture):
-    """Marks each found corner by a sign."""
+    """Marks each corner by a sign."""
 
-    def __init__(self, mode: str = "half", *, ascii_only: bool = False) -> None:
-        super().__init__(mode)
-        self.crosshair = False
-        self._sign = "o" if ascii_only else "•"
+    def __init__(self, mode: str = "half") -> None:
+        super().__init__(mode, crosshair=False)
         self._corners: Corners = ()
 
     def mark(self, corners: Corners) -> None:
@@ -33,16 +31,15 @@ class BoardPicture(LivePicture):
     def render_line(self, y: int) -> Strip:
         """A row of the picture with its corners."""
         strip = super().render_line(y)
-        if self._picture is None or not self._corners:
+        if self.picture is None or not self._corners:
             return strip
-        height, width = self._raster.levels.shape
-        above, left = self._offset()
+        (above, left), (height, width) = self.offset_cells, self.size_cells
         places = {
-            left + min(width - 1, int(x * width)) for x, share in self._corners if above + int(share * height / 2) == y
+            left + min(width - 1, int(x * width)) for x, share in self._corners if above + int(share * height) == y
         }
+        sign = "o" if self.mode == "mono" else "•"
         for place in sorted(places):
-            cell = strip.crop(place, place + 1)
-            ground = next(iter(cell), Segment(" ")).style
-            style = _CORNER + Style(bgcolor=ground.bgcolor if ground else None)
-            strip = Strip.join([strip.crop(0, place), Strip([Segment(self._sign, style)], 1), strip.crop(place + 1)])
+            cell = next(iter(strip.crop(place, place + 1)), Segment(" ")).style
+            style = _CORNER + Style(bgcolor=cell.bgcolor if cell else None)
+            strip = Strip.join([strip.crop(0, place), Strip([Segment(sign, style)], 1), strip.crop(place + 1)])
         return strip

@@ -1,25 +1,24 @@
-"""The panes of the calibrate screen: what to do next with its coverage map, and what came of it."""
+"""The guide of the calibrate screen: what to do next, how the views cover the field, and the result."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from rich.text import Text
 
-from tui.console.calibration.texts import Verdict
-from tui.console.widgets.lines import Lines
+from tui.console.calibration.results import CalibrationResult
+from tui.console.widgets.lines import Pane
 from tui.text.width import shorten
 
-_SHADES = (" ", "░", "▒", "▓", "█")
-_ASCII_SHADES = (" ", ".", "+", "#", "@")
+_SHADES = " ░▒▓█"
 
 
 @dataclass(frozen=True)
 class GuideView:
-    """What the guide pane shows."""
+    """What the guide shows."""
 
     goal: str = ""
     board: str = ""
@@ -27,69 +26,57 @@ class GuideView:
     """What the camera sees now, in words."""
     facts: dict[str, Any] = field(default_factory=dict)
     """The newest object of ``sweepscope calibrate watch``."""
-    verdict: Verdict | None = None
+    result: CalibrationResult | None = None
     hint: str = ""
 
 
-class GuidePane(Lines):
-    """Goal, coverage, advice, views; after the fit its verdict."""
+class GuidePane(Pane[GuideView]):
+    """Goal, coverage, advice, views; after the fit its result."""
 
-    DEFAULT_CSS = """
-    GuidePane { height: 1fr; border: round $primary 60%; border-title-color: $text-muted; padding: 0 1; }
-    """
-
-    def __init__(self, *, ascii_only: bool = False) -> None:
-        super().__init__(id="guide", ascii_only=ascii_only)
-        self._guide = GuideView()
-
-    def show(self, guide: GuideView) -> None:
-        """Take the newest values."""
-        self._guide = guide
-        self.changed()
+    def __init__(self) -> None:
+        super().__init__(GuideView(), id="guide")
 
     def text_for(self, width: int) -> Text:
         """From the goal downwards, as much as there is room for."""
-        guide, text = self._guide, Text(no_wrap=True)
-        self._say(text, guide.goal, width, "bold")
-        self._say(text, guide.board, width, "dim")
-        if guide.verdict is not None:
-            self._verdict(text, guide.verdict, width)
-        self._say(text, guide.live, width, "")
-        advice = [str(words) for words in guide.facts.get("advice") or []]
-        if guide.facts and guide.verdict is None:
-            text.append_text(self._coverage(guide.facts.get("coverage") or []))
-            for number, words in enumerate(advice[:3], 1):
-                self._say(text, f"{number}. {words}", width, "bold" if number == 1 else "")
-            if not advice:
-                self._say(text, "there is enough: g calibrates", width, "bold green")
-        self._say(text, guide.hint, width, "dim")
-        for view in reversed(guide.facts.get("views") or []):
-            if guide.verdict is None:
-                mark = "" if view.get("found") else "NO BOARD: "
-                text.append(
-                    shorten(f"{str(view.get('name')).removesuffix('.png')} {mark}{view.get('words')}", width) + "\n",
-                    style="dim",
-                )
-        text.right_crop(1)
-        return text
+        guide, width = self.shown, max(16, width)
+        lines = [*_wrapped(guide.goal, width, "bold"), *_wrapped(guide.board, width, "dim")]
+        if guide.result is not None:
+            lines += _wrapped(guide.result.headline, width, "bold green" if guide.result.passed else "bold red")
+            for words in guide.result.lines:
+                lines += _wrapped(words, width)
+        lines += _wrapped(guide.live, width)
+        if guide.facts and guide.result is None:
+            lines += [*_coverage(guide.facts.get("coverage") or []), *_advice(guide.facts, width)]
+        lines += _wrapped(guide.hint, width, "dim")
+        if guide.result is None:
+            lines += _views(guide.facts, width)
+        return Text("\n", no_wrap=True).join(lines)
 
-    def _say(self, text: Text, words: str, width: int, style: str) -> None:
-        for line in textwrap.wrap(words, max(16, width)):
-            text.append(line + "\n", style=style)
 
-    def _verdict(self, text: Text, verdict: Verdict, width: int) -> None:
-        self._say(text, verdict.headline, width, "bold green" if verdict.passed else "bold red")
-        for line in verdict.lines:
-            self._say(text, line, width, "")
+def _wrapped(words: str, width: int, style: str = "") -> list[Text]:
+    return [Text(line, style=style) for line in textwrap.wrap(words, width)]
 
-    def _coverage(self, coverage: Sequence[Sequence[int]]) -> Text:
-        """The picture's field, each cell with how many views have corners there."""
-        shades = _ASCII_SHADES if self.ascii_only else _SHADES
-        text = Text()
-        for number, row in enumerate(coverage):
-            text.append("covered " if number == 0 else "        ", style="dim")
-            for count in row:
-                shade = shades[min(int(count), 8) * 4 // 8 if count else 0]
-                text.append(f"[{shade * 2}{int(count):>2}]", style="" if count else "bold yellow")
-            text.append("\n")
-        return text
+
+def _advice(facts: dict[str, Any], width: int) -> Iterator[Text]:
+    advice = [str(words) for words in facts.get("advice") or []]
+    for number, words in enumerate(advice[:3], 1):
+        yield from _wrapped(f"{number}. {words}", width, "bold" if number == 1 else "")
+    if not advice:
+        yield from _wrapped("enough views: g calibrates", width, "bold green")
+
+
+def _coverage(coverage: Sequence[Sequence[int]]) -> Iterator[Text]:
+    """The field of view; each cell says how many views have corners there."""
+    for number, row in enumerate(coverage):
+        text = Text("covered " if number == 0 else "        ", style="dim")
+        for count in row:
+            shade = _SHADES[min(int(count), 8) // 2 if count else 0]
+            text.append(f"[{shade * 2}{int(count):>2}]", style="not dim" if count else "not dim bold yellow")
+        yield text
+
+
+def _views(facts: dict[str, Any], width: int) -> Iterator[Text]:
+    for view in reversed(facts.get("views") or []):
+        mark = "" if view.get("found") else "NO BOARD: "
+        words = f"{str(view.get('name')).removesuffix('.png')} {mark}{view.get('words')}"
+        yield Text(shorten(words, width), style="dim")

@@ -1,23 +1,23 @@
-"""What runs in child processes, one line each with its progress; gone when nothing runs."""
+"""Running child processes with their progress, one line each; hidden while nothing runs."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rich.text import Text
 
 from acquire.contract.units import format_duration
+from tui.console.jobs import Job
 from tui.console.widgets.lines import Lines
-from tui.processes.child_jobs import Job
 from tui.text.status_text import bar
 from tui.text.width import shorten
 
-MOST = 3
+MAX_LINES = 3
 BAR_CELLS = 16
 
 
-class JobLines(Lines):
+class JobLines(Lines[Sequence[Job]]):
     """At most three jobs."""
 
     DEFAULT_CSS = """
@@ -25,32 +25,25 @@ class JobLines(Lines):
     JobLines.some { display: block; }
     """
 
-    def __init__(self, *, ascii_only: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(id="jobs", ascii_only=ascii_only)
-        self._jobs: Sequence[Job] = ()
-        self._clock = clock
+    def __init__(self) -> None:
+        super().__init__((), id="jobs")
 
-    def show(self, jobs: Sequence[Job]) -> None:
-        """Take what runs."""
-        jobs = jobs[:MOST]
-        if len(jobs) != len(self._jobs):
+    def show(self, value: Sequence[Job]) -> None:
+        """Take the running jobs."""
+        jobs = value[:MAX_LINES]
+        if len(jobs) != len(self.shown):
             self.refresh(layout=True)
-        self._jobs = jobs
         self.set_class(bool(jobs), "some")
-        self.changed()
+        super().show(jobs)
 
     def text_for(self, width: int) -> Text:
         """One line per job."""
-        text = Text(no_wrap=True)
-        for number, job in enumerate(self._jobs):
-            text.append("\n" if number else "")
-            text.append_text(self._line(job, width))
-        return text
+        return Text("\n", no_wrap=True).join(_line(job, width) for job in self.shown)
 
-    def _line(self, job: Job, width: int) -> Text:
-        elapsed = format_duration(int(self._clock() - job.started_s))
-        share = job.share
-        state = "ending" if job.cancelled else f"{100 * share:3.0f} %" if share is not None else "works"
-        line = Text(bar(share or 0.0, BAR_CELLS, ascii_only=self.ascii_only), style="#4aa3ff")
-        line.append(f" {state:>6}  {elapsed}  ", style="")
-        return line.append(shorten(job.title, max(8, width - line.cell_len)), style="bold")
+
+def _line(job: Job, width: int) -> Text:
+    share = job.share
+    state = "ending" if job.cancelled else f"{100 * share:3.0f} %" if share is not None else "working"
+    line = Text(bar(share or 0.0, BAR_CELLS), style="#4aa3ff")
+    line.append(f" {state:>7}  {format_duration(int(time.monotonic() - job.started_s))}  ", style="")
+    return line.append(shorten(job.title, max(8, width - line.cell_len)), style="bold")

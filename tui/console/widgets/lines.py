@@ -1,86 +1,85 @@
-"""A pane of styled lines that repaints only when its text or size changed."""
+"""A pane of styled lines that repaints only when its text or its size has changed.
+
+Textual's Static repaints with each update, and a repaint is sent to the terminal whole, even where nothing changed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
+from rich.style import Style
 from rich.text import Text
-from textual.events import Click
 from textual.widget import Widget
+
+from tui.text.ascii_signs import to_ascii
 
 KEY_STYLE = "bold #f0b429"
 
+Shown = TypeVar("Shown")
 
-class Lines(Widget):
-    """Shows what :meth:`compose_text` makes of the newest values, cut to the pane's width."""
+
+class Lines(Widget, Generic[Shown]):
+    """Shows what :meth:`text_for` makes of the newest value, cut to the pane's width; in ASCII where asked for."""
 
     ALLOW_SELECT = False
 
-    def __init__(self, *, id: str | None = None, ascii_only: bool = False) -> None:  # noqa: A002 - Textual's name
+    def __init__(self, shown: Shown, *, id: str) -> None:  # noqa: A002 - Textual's name
         super().__init__(id=id)
-        self.ascii_only = ascii_only
-        self._shown: Text | None = None
+        self.auto_links = False  # what can be clicked looks as it is written
+        self.shown = shown
+        self._painted: Text | None = None
+
+    def show(self, value: Shown) -> None:
+        """Take the newest value."""
+        self.shown = value
+        self.changed()
 
     def text_for(self, width: int) -> Text:
         """The lines for a pane that is ``width`` cells wide."""
         raise NotImplementedError
 
     def changed(self) -> None:
-        """Repaint if the text is another one now."""
-        text = self.text_for(self.content_size.width)
-        if text != self._shown or text.spans != (self._shown.spans if self._shown else []):
+        """Repaint if the text is different now."""
+        text = self._text()
+        if text != self._painted or text.spans != (self._painted.spans if self._painted else []):
             self.refresh()
 
     def render(self) -> Text:
         """The text; remembered, so that nothing is painted twice."""
-        self._shown = self.text_for(self.content_size.width)
-        return self._shown
+        self._painted = self._text()
+        return self._painted
+
+    def _text(self) -> Text:
+        text = self.text_for(self.content_size.width)
+        return to_ascii(text) if self.app.has_class("ascii") else text
 
     @property
     def plain(self) -> str:
         """The text without styles, as it would be painted now."""
-        return self.text_for(self.content_size.width).plain
+        return self._text().plain
 
 
-class PressableLines(Lines):
-    """Lines in which places can be clicked."""
+class Pane(Lines[Shown]):
+    """Lines in a frame with a title."""
 
-    def __init__(self, *, id: str, ascii_only: bool = False) -> None:  # noqa: A002
-        super().__init__(id=id, ascii_only=ascii_only)
-        self._places: list[tuple[int, int, int, str]] = []
+    DEFAULT_CSS = """
+    Pane { height: 1fr; border: round $primary 60%; border-title-color: $text-muted; padding: 0 1; }
+    """
 
-    def place(self, row: int, begin: int, end: int, action: str) -> None:
-        """What a click on the cells ``begin`` to ``end`` of a row does."""
-        self._places.append((row, begin, end, action))
 
-    def forget_places(self) -> None:
-        """Another text is made."""
-        self._places.clear()
-
-    async def on_click(self, event: Click) -> None:
-        """Do what stands there."""
-        at = event.get_content_offset(self)
-        for row, begin, end, action in self._places:
-            if at is not None and at.y == row and begin <= at.x < end:
-                event.stop()
-                await self.app.run_action(action)
-                return
+def clickable(action: str) -> Style:
+    """The style of text that runs an action when it is clicked (with ``--mouse``)."""
+    return Style.from_meta({"@click": action})
 
 
 KeyOf = Callable[[str], tuple[str, bool]]
-"""For an action: its key as people write it (empty: there is no such action here), and whether it can be done now."""
+"""For an action: its key as people write it (empty: no such action here), and whether it can be done now."""
 
 
-class KeyedLines(Lines):
-    """Lines in which each value stands beside the key that changes it."""
-
-    def __init__(self, key_of: KeyOf, *, id: str, ascii_only: bool = False) -> None:  # noqa: A002
-        super().__init__(id=id, ascii_only=ascii_only)
-        self._key_of = key_of
-
-    def key(self, text: Text, action: str, words: str, style: str = "") -> Text:
-        """Append ``<key> <words>``; the key is dim where the action cannot be done now, absent where there is none."""
-        key, possible = self._key_of(action)
-        if key:
-            text.append(key, style=KEY_STYLE if possible else "dim").append(" ")
-        return text.append(words, style=style)
+def append_key(text: Text, key_of: KeyOf, action: str, words: str, style: str = "") -> Text:
+    """Append ``<key> <words>``; the key is dim where the action cannot be done now, absent where there is none."""
+    key, possible = key_of(action)
+    if key:
+        text.append(key, style=KEY_STYLE if possible else "dim").append(" ")
+    return text.append(words, style=style)

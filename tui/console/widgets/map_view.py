@@ -1,7 +1,8 @@
-"""Draws one map with half blocks, two values in a cell: prepared styles, nothing painted twice, NaN as a pattern."""
+"""One map in half blocks, two values in a cell: prepared styles, nothing painted twice, NaN as a pattern."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,10 +16,10 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from acquire.contract.colormaps import NO_VALUE_RGB, MapName, table
-from tui.console.pictures.maps import Layer, Window, cell_of_cursor, cells_of, picture_size
+from tui.console.pictures.maps import MapLayer, MapWindow, cell_of_cursor, cells_of, picture_size
 
 LEVELS = 32
-"""Colours that are told apart in a terminal."""
+"""Number of colours."""
 NONE = -1
 RAMP = " .:-=+*#%@"
 _LABEL = Style(bold=True)
@@ -38,7 +39,7 @@ def _palette(colours: MapName | None) -> tuple[Color, ...]:
 @lru_cache(maxsize=16_384)
 def _style(colours: MapName | None, top: int, bottom: int) -> Style:
     palette = _palette(colours)
-    if NONE in (top, bottom):  # the half without a value stays the screen's own ground
+    if NONE in (top, bottom):  # the half without a value keeps the screen's background
         return Style(color=palette[max(top, bottom)])
     return Style(color=palette[top], bgcolor=palette[bottom])
 
@@ -62,36 +63,38 @@ class MapView(Widget):
     ALLOW_SELECT = False
     DEFAULT_CSS = "MapView { width: 1fr; height: 1fr; }"
 
+    @dataclass
     class Pointed(Message):
-        """A cell was clicked: row and column of the picture, and its size."""
+        """A cell of the picture was clicked; ``rows`` x ``columns`` is the picture's size."""
 
-        def __init__(self, row: int, column: int, rows: int, columns: int) -> None:
-            super().__init__()
-            self.row, self.column, self.rows, self.columns = row, column, rows, columns
+        row: int
+        column: int
+        rows: int
+        columns: int
 
     def __init__(self, *, id: str, plain: bool = False) -> None:  # noqa: A002 - Textual's name
         """``plain``: characters of a grey ramp instead of colours."""
         super().__init__(id=id)
         self._plain = plain
-        self._layer: Layer | None = None
+        self._layer: MapLayer | None = None
         self._levels = np.zeros((0, 0), np.int8)
-        self._window: Window | None = None
+        self._window: MapWindow | None = None
         self._cursor = (-1, -1)
         self._high = 0.0
-        self._most_across = 1000
+        self._max_across = 1000
         self.painted = 0
-        """How often the picture changed."""
+        """How often the picture changed, for tests."""
 
     @property
     def picture_cells(self) -> tuple[int, int]:
-        """Values down (two in a cell, one where plain) and across that have room."""
+        """Rows (two in a cell, one where plain) and columns of values that have room."""
         size = self.content_size
-        across = min(size.width - 1, self._most_across)
+        across = min(size.width - 1, self._max_across)
         return max(1, (size.height - 2) * (1 if self._plain else 2)), max(1, across)
 
-    def show(self, layer: Layer, window: Window, most_across: int) -> None:
-        """Take a map and what is in view of it; ``most_across`` cells keep neighbours equally large."""
-        self._layer, self._window, self._most_across = layer, window, most_across
+    def show(self, layer: MapLayer, window: MapWindow, max_across: int) -> None:
+        """Take a map and its visible part; at most ``max_across`` cells wide, so that neighbours are equally large."""
+        self._layer, self._window, self._max_across = layer, window, max_across
         self._compute()
 
     def on_resize(self) -> None:
@@ -118,7 +121,7 @@ class MapView(Widget):
         self.refresh()
 
     def on_click(self, event: Click) -> None:
-        """Point at a cell."""
+        """Report the clicked cell."""
         place = event.get_content_offset(self)
         if self._layer is None or place is None or not self._levels.size:
             return
@@ -137,7 +140,7 @@ class MapView(Widget):
             return Strip.blank(width)
         rows = len(self._levels) if self._plain else (len(self._levels) + 1) // 2
         if y == 0:
-            return Strip([Segment(f"{self._layer.quantity:<{width}}"[:width], _LABEL)], width)
+            return Strip([Segment(f"{self._layer.kind:<{width}}"[:width], _LABEL)], width)
         if y == rows + 1:
             return self._legend(width)
         if not 1 <= y <= rows:

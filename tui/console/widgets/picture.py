@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from tui.console.link.rig_view import PictureView
-from tui.console.pictures.raster import FULL, Detail, Raster, fit
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from tui.console.pictures.raster import FULL, PictureDetail, Raster, half_cells_for
 
 RAMP = " .:-=+*%#@"
 CLIP_SIGN = "X"
@@ -51,33 +48,30 @@ class LivePicture(Widget):
     DEFAULT_CSS = "LivePicture { height: 1fr; width: 1fr; }"
     ALLOW_SELECT = False
 
-    def __init__(self, mode: str = "half") -> None:
+    def __init__(self, mode: str = "half", *, crosshair: bool = True) -> None:
         super().__init__(id="live")
         self.mode = mode
         self.words = ""
-        self.crosshair = True
-        self._picture: PictureView | None = None
+        self.picture: PictureView | None = None
+        self._crosshair = crosshair
         self._raster = Raster()
         self._detail = FULL
-        self.painted_rows = 0
-        """Rows that were repainted since the start, for measuring."""
 
-    def show(self, picture: PictureView | None, words: str, detail: Detail = FULL) -> None:
-        """Take a picture, or ``words`` in its place; repaints what looks different."""
+    def show(self, picture: PictureView | None, words: str, detail: PictureDetail = FULL) -> None:
+        """Take a picture, or ``words`` in its place; repaints the rows that look different."""
         if picture is None or self.mode == "off":
-            if self._picture is not None or words != self.words:
-                self._picture, self.words = None, words
+            if self.picture is not None or words != self.words:
+                self.picture, self.words = None, words
                 self.refresh()
             return
-        fresh = self._picture is None
-        self._picture, self._detail, self.words = picture, detail, words
-        rows = self._take()
-        self.painted_rows += len(rows)
+        fresh = self.picture is None
+        self.picture, self._detail, self.words = picture, detail, words
+        rows = self._take(picture)
         if fresh or len(rows) > WHOLE_SHARE * self.size.height:
             self.refresh()
         elif len(rows):
-            offset = self._offset()[0]
-            self.refresh(*(Region(0, offset + int(row), self.size.width, 1) for row in rows))
+            above = self.offset_cells[0]
+            self.refresh(*(Region(0, above + int(row), self.size.width, 1) for row in rows))
 
     def set_mode(self, mode: str) -> None:
         """Half blocks, characters, or no picture."""
@@ -86,41 +80,40 @@ class LivePicture(Widget):
 
     def on_resize(self, event: Resize) -> None:
         """Draw the same picture in the new size."""
-        if self._picture is not None:
-            self._take()
+        if self.picture is not None:
+            self._take(self.picture)
 
-    def _take(self) -> NDArray[np.intp]:
-        assert self._picture is not None
-        height, width = fit(
-            self._picture.pixels.shape[0], self._picture.pixels.shape[1], self.size.height, self.size.width
-        )
+    def _take(self, picture: PictureView) -> NDArray[np.intp]:
+        rows, columns = picture.pixels.shape[:2]
+        height, width = half_cells_for(rows, columns, self.size.height, self.size.width)
         if not height:
             return np.zeros(0, np.intp)
-        header = self._picture.header
-        return self._raster.update(self._picture.pixels, height, width, self._detail, header.position_steps)
-
-    def _offset(self) -> tuple[int, int]:
-        height, width = self._raster.levels.shape
-        return (self.size.height - height // 2) // 2, (self.size.width - width) // 2
+        return self._raster.update(picture.pixels, height, width, self._detail, picture.header.position_steps)
 
     @property
-    def cells_wide(self) -> int:
-        """Cells that the picture is wide now."""
-        return self._raster.levels.shape[1] if self._picture is not None else 0
+    def size_cells(self) -> tuple[int, int]:
+        """Height and width of the picture in cells; 0, 0 without one."""
+        height, width = self._raster.levels.shape
+        return (height // 2, width) if self.picture is not None else (0, 0)
+
+    @property
+    def offset_cells(self) -> tuple[int, int]:
+        """Cells above and left of the picture."""
+        height, width = self.size_cells
+        return (self.size.height - height) // 2, (self.size.width - width) // 2
 
     def render_line(self, y: int) -> Strip:
         """One row of cells."""
         background = self.visual_style.rich_style
-        if self._picture is None:
+        if self.picture is None:
             return self._words_line(y, background)
-        above, left = self._offset()
+        (above, left), (height, width) = self.offset_cells, self.size_cells
         row = y - above
-        if not 0 <= row < self._raster.levels.shape[0] // 2:
+        if not 0 <= row < height:
             return Strip.blank(self.size.width, background)
         cells = list(self._half_row(row) if self.mode == "half" else self._mono_row(row, background))
-        right = self.size.width - left - self._raster.levels.shape[1]
-        margin = [Segment(" " * left, background)], [Segment(" " * right, background)]
-        return Strip([*margin[0], *cells, *margin[1]], self.size.width)
+        margins = Segment(" " * left, background), Segment(" " * (self.size.width - left - width), background)
+        return Strip([margins[0], *cells, margins[1]], self.size.width)
 
     def _words_line(self, y: int, style: Style) -> Strip:
         lines = self.words.split("\n")
@@ -145,15 +138,16 @@ class LivePicture(Widget):
         mean = raster.levels[2 * row : 2 * row + 2].mean(axis=0)
         marks = np.any(raster.clipped[2 * row : 2 * row + 2], axis=0)
         signs = np.rint(mean * (len(RAMP) - 1) / (raster.count - 1)).astype(int)
-        text = "".join(CLIP_SIGN if marks[x] else RAMP[sign] for x, sign in enumerate(signs.tolist()))
+        text = [CLIP_SIGN if marks[x] else RAMP[sign] for x, sign in enumerate(signs.tolist())]
         centre = self._centre(row)
         if centre >= 0:
-            text = text[:centre] + "+" + text[centre + 1 :]
-        yield Segment(text, style)
+            text[centre] = "+"
+        yield Segment("".join(text), style)
 
     def _centre(self, row: int) -> int:
-        height, width = self._raster.levels.shape
-        return width // 2 if self.crosshair and row == height // 4 else -1
+        """Column of the crosshair; -1 where it is not in this row."""
+        height, width = self.size_cells
+        return width // 2 if self._crosshair and row == height // 2 else -1
 
 
 def _runs(codes: NDArray[np.int32], apart: int) -> list[tuple[int, int]]:

@@ -1,31 +1,38 @@
-"""A list of lines with a cursor that scrolls as it moves; the row under the cursor carries a sign, not colour alone."""
+"""A list of rows with a cursor that scrolls as it moves.
+
+Textual's OptionList and DataTable show the cursor by colour alone and repaint when equal rows are set again; here the
+row of the cursor has a mark, and the chosen key survives a change of the rows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 
 from rich.text import Text
 from textual.events import Click, MouseScrollDown, MouseScrollUp
 from textual.message import Message
 
-from tui.console.widgets.lines import Lines
+from tui.console.widgets.lines import Pane
 
 
-class RowList(Lines):
-    """Shows rows that it is given; which one is chosen survives a change of the rows."""
+@dataclass(frozen=True)
+class Rows:
+    """What a list shows; ``keys`` identify the rows."""
 
-    DEFAULT_CSS = """
-    RowList { height: 1fr; border: round $primary 60%; border-title-color: $text-muted; padding: 0 1; }
-    """
+    header: Text = field(default_factory=Text)
+    rows: Sequence[Text] = ()
+    keys: Sequence[Hashable] = ()
+
+
+class RowList(Pane[Rows]):
+    """Shows rows that it is given."""
 
     class Moved(Message):
         """Another row is chosen."""
 
-    def __init__(self, *, id: str, ascii_only: bool = False, empty: str = "") -> None:  # noqa: A002 - Textual's name
-        super().__init__(id=id, ascii_only=ascii_only)
-        self._header = Text()
-        self._rows: Sequence[Text] = ()
-        self._keys: Sequence[Hashable] = ()
+    def __init__(self, *, id: str, empty: str = "") -> None:  # noqa: A002 - Textual's name
+        super().__init__(Rows(), id=id)
         self._empty = empty
         self._top = 0
         self.cursor = 0
@@ -33,30 +40,24 @@ class RowList(Lines):
     @property
     def chosen(self) -> Hashable | None:
         """The key of the row under the cursor; None while there are none."""
-        return self._keys[self.cursor] if self._keys else None
+        return self.shown.keys[self.cursor] if self.shown.keys else None
 
-    def show(self, header: Text, rows: Sequence[Text], keys: Sequence[Hashable]) -> None:
-        """Take rows with their keys; the cursor stays on its key where that is still there."""
+    def show(self, value: Rows) -> None:
+        """Take rows; the cursor stays on its key where that is still there."""
         before = self.chosen
-        self._header, self._rows, self._keys = header, rows, keys
-        if before in keys:
-            self.cursor = list(keys).index(before)
-        self.cursor = max(0, min(self.cursor, len(rows) - 1))
-        self.changed()
+        if before in value.keys:
+            self.cursor = list(value.keys).index(before)
+        self.cursor = max(0, min(self.cursor, len(value.rows) - 1))
+        super().show(value)
 
     def say_when_empty(self, words: str) -> None:
-        """What stands there while there are no rows."""
+        """What is shown while there are no rows."""
         self._empty = words
         self.changed()
 
-    def choose(self, key: Hashable) -> None:
-        """Put the cursor on a row."""
-        if key in self._keys:
-            self.move(list(self._keys).index(key) - self.cursor)
-
     def move(self, rows: int) -> None:
         """Move the cursor; it stops at the ends."""
-        wanted = max(0, min(self.cursor + rows, len(self._rows) - 1))
+        wanted = max(0, min(self.cursor + rows, len(self.shown.rows) - 1))
         if wanted != self.cursor:
             self.cursor = wanted
             self.post_message(self.Moved())
@@ -64,37 +65,37 @@ class RowList(Lines):
 
     @property
     def page(self) -> int:
-        """Rows in view."""
+        """Number of rows in view."""
         return max(1, self.content_size.height - 1)
 
     def on_click(self, event: Click) -> None:
-        """Choose what was clicked."""
-        row = event.get_content_offset(self)
-        if row is not None and row.y >= 1:
-            self.move(self._top + row.y - 1 - self.cursor)
+        """Choose the clicked row."""
+        place = event.get_content_offset(self)
+        if place is not None and place.y >= 1:
+            self.move(self._top + place.y - 1 - self.cursor)
 
     def on_mouse_scroll_down(self, _event: MouseScrollDown) -> None:
-        """Further."""
+        """Move down."""
         self.move(3)
 
     def on_mouse_scroll_up(self, _event: MouseScrollUp) -> None:
-        """Back."""
+        """Move up."""
         self.move(-3)
 
     def text_for(self, width: int) -> Text:
         """The header and the rows around the cursor."""
-        if not self._rows:
+        rows = self.shown.rows
+        if not rows:
             return Text(self._empty, style="dim")
         page = self.page
         self._top = max(min(self._top, self.cursor), self.cursor - page + 1, 0)
-        self._top = min(self._top, max(0, len(self._rows) - page))
-        text = Text("  ", no_wrap=True, overflow="ellipsis" if not self.ascii_only else "crop")
-        text.append_text(_styled(self._header, "dim", width - 2))
-        mark = ">" if self.ascii_only else "▸"
-        for number in range(self._top, min(len(self._rows), self._top + page)):
+        self._top = min(self._top, max(0, len(rows) - page))
+        text = Text("  ", no_wrap=True, overflow="ellipsis")
+        text.append_text(_styled(self.shown.header, "dim", width - 2))
+        for number in range(self._top, min(len(rows), self._top + page)):
             here = number == self.cursor
-            text.append("\n").append(f"{mark} " if here else "  ", style="bold")
-            row = Text(self._rows[number].plain) if here else self._rows[number]
+            text.append("\n").append("▸ " if here else "  ", style="bold")
+            row = Text(rows[number].plain) if here else rows[number]
             text.append_text(_styled(row, "reverse" if here else "", width - 2))
         return text
 
@@ -102,6 +103,5 @@ class RowList(Lines):
 def _styled(line: Text, style: str, width: int) -> Text:
     found = line.copy()
     found.truncate(max(0, width), overflow="crop", pad=True)
-    if style:
-        found.stylize(style)
+    found.stylize(style)
     return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from rich.text import Text
 
 from acquire.contract.messaging.messages import Status
@@ -10,54 +12,59 @@ from acquire.contract.units import format_duration
 from tui.console.link.rig_view import RigView
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import FAST_FACTOR
-from tui.console.state.scan_draft import Draft
-from tui.console.widgets.lines import KeyedLines, KeyOf
+from tui.console.state.scan_draft import ScanDraft
+from tui.console.widgets.lines import KeyOf, Pane, append_key
 from tui.text.sparkline import History, sparkline
 from tui.text.status_text import bar, credit_words, fraction_done, is_running, outcome_line, rate_words, scan_name
 from tui.text.width import shorten
 
 NOT_CONNECTED = "not connected"
-_PANE = "{{ height: auto; border: round $primary 60%; border-title-color: $text-muted; padding: 0 1; }}"
 
 
-class _Pane(KeyedLines):
-    DEFAULT_CSS = "_Pane " + _PANE.format()
+class ScanPane(Pane[RigView]):
+    """A pane of the scan screen; what was last known is dim while the daemon does not answer."""
 
-    def __init__(self, key_of: KeyOf, *, ascii_only: bool = False) -> None:
-        super().__init__(key_of, id=type(self).__name__.removesuffix("Pane").lower(), ascii_only=ascii_only)
-        self.border_title = self.id
-        self.view = RigView()
+    TITLE: ClassVar[str] = ""
+
+    def __init__(self, key_of: KeyOf) -> None:
+        super().__init__(RigView(), id=self.TITLE)
+        self.border_title = self.TITLE
+        self._key_of = key_of
+
+    def key(self, text: Text, action: str, words: str, style: str = "") -> Text:
+        """Append the key of an action with the value that it changes."""
+        return append_key(text, self._key_of, action, words, style)
 
     def text_for(self, width: int) -> Text:
-        """The pane's lines; what was last known is dim while the daemon is not heard."""
-        status = self.view.status
+        """The pane's lines."""
+        status = self.shown.status
         if status is None:
             return Text(NOT_CONNECTED, style="dim")
-        text = Text(no_wrap=True, style="" if self.view.connected else "dim")
+        text = Text(no_wrap=True, style="" if self.shown.connected else "dim")
         self.fill(text, status, width)
         return text
 
-    def show(self, view: RigView) -> None:
+    def show(self, value: RigView) -> None:
         """Take the newest values."""
-        self.view = view
-        words = "" if view.connected or view.status is None else NOT_CONNECTED
+        words = "" if value.connected or value.status is None else NOT_CONNECTED
         if words != (self.border_subtitle or ""):
             self.border_subtitle = words
-        self.changed()
+        super().show(value)
 
     def fill(self, text: Text, status: Status, width: int) -> None:
         """Append the lines."""
         raise NotImplementedError
 
 
-class StagePane(_Pane):
+class StagePane(ScanPane):
     """Where the stage is, and how to move it."""
 
+    TITLE = "stage"
     DEFAULT_CSS = "StagePane { height: 5; }"
     fine_steps = 3
 
     def fill(self, text: Text, status: Status, width: int) -> None:
-        """Position; steps beside their keys; places."""
+        """Position; steps beside their keys; homing and limits."""
         um = f"{status.position_um:,.1f}".replace(",", " ")
         trust = ("trusted", "green") if status.position_trusted else ("NOT TRUSTED: home", "bold yellow")
         text.append(f"{um} um", style="bold").append(f"  {status.position_steps} microsteps  ")
@@ -69,7 +76,7 @@ class StagePane(_Pane):
         self.key(text, f"jog(-{FAST_FACTOR})", "").append(" ")
         self.key(text, f"jog({FAST_FACTOR})", f"{self.fine_steps * FAST_FACTOR}  ")
         self.key(text, "hold(-1)", "")
-        self.key(text, "hold(1)", "held\n")
+        self.key(text, "hold(1)", "hold\n")
         self.key(text, "home", "home  ")
         self.key(text, "zero", "zero  ")
         self.key(text, "goto", "go to  ")
@@ -77,9 +84,10 @@ class StagePane(_Pane):
         text.append(f"{low}..{high}" if low < high else "", style="dim")
 
 
-class LightPane(_Pane):
+class LightPane(ScanPane):
     """Lamp and camera."""
 
+    TITLE = "light"
     DEFAULT_CSS = "LightPane { height: 5; }"
 
     def fill(self, text: Text, status: Status, width: int) -> None:
@@ -87,29 +95,29 @@ class LightPane(_Pane):
         warm = f", warm in {format_duration(status.lamp_warm_s)}" if status.lamp_warm_s > 0 else ""
         style = "yellow" if warm else "bold" if status.lamp_on else ""
         self.key(text, "lamp", f"lamp {'on' if status.lamp_on else 'off'}{warm}  ", style)
-        self.key(text, "preview", "preview on" if status.activity == "preview" else "preview off")
-        text.append("\n")
+        self.key(text, "preview", "preview on\n" if status.activity == "preview" else "preview off\n")
         exposure = status.camera.get("exposure_ms")
         self.key(text, "adjust('exposure_ms')", f"{exposure:.2f} ms  " if exposure is not None else "exposure  ")
         self.key(text, "adjust('gain')", f"{status.camera.get('gain', 0):.1f} dB  ")
         self.key(text, "adjust('brightness_percent')", f"{status.camera.get('brightness_percent', 0):.1f} % black\n")
         if status.activity in ("exposure", "prescan"):
-            share = bar(status.activity_share, max(4, width - 20), ascii_only=self.ascii_only)
+            share = bar(status.activity_share, max(4, width - 20))
             text.append(f"{status.activity} ", style="bold").append(f"{share} {100 * status.activity_share:3.0f} %")
         else:
             locked = is_running(status)
             self.key(text, "expose", "set exposure once" if not locked else "exposure locked during the sweep")
 
 
-class PlanPane(_Pane):
+class PlanPane(ScanPane):
     """The sweep that is being prepared."""
 
+    TITLE = "plan"
     DEFAULT_CSS = "PlanPane { height: 9; }"
-    draft = Draft()
+    draft = ScanDraft()
     estimate = Estimate()
 
     def fill(self, text: Text, status: Status, width: int) -> None:
-        """Name, bounds, steps, what it takes, what a pre-scan proposes."""
+        """Name, bounds, steps, estimate, the proposal of a pre-scan, the worst warning or the last outcome."""
         draft = self.draft
         about = "  ".join(part for part in (draft.specimen, draft.operator, " ".join(draft.tags)) if part)
         self.key(text, "words", "").append(shorten(draft.name, width - 2), style="bold")
@@ -117,21 +125,19 @@ class PlanPane(_Pane):
         self.key(text, "set_first", f"first {draft.first_steps:6} {draft.um(draft.first_steps):9.1f} um\n")
         self.key(text, "set_last", f"last  {draft.last_steps:6} {draft.um(draft.last_steps):9.1f} um\n")
         self.key(text, "plan", f"{draft.steps_per_frame}/frame = {draft.um(draft.steps_per_frame):.1f} um  ")
-        self.key(text, "mode", "fly\n" if draft.mode == "fly" else f"step, rest {draft.settle_ms:g} ms\n")
-        text.append(
-            shorten(self.estimate.words(draft, width), width) + "\n", style="bold" if self.estimate.known else ""
-        )
-        self._proposal(text, status, width)
+        self.key(text, "mode", "fly\n" if draft.mode == "fly" else f"step, settle {draft.settle_ms:g} ms\n")
+        text.append(shorten(self.estimate.words(draft, width), width), "bold" if self.estimate.known else "")
+        text.append("\n")
+        self._proposal(text, status)
         text.append("\n")
         warnings = [*self.estimate.warnings, *(status.proposal.warnings if status.proposal else ())]
         worst = self.estimate.refused or next(iter(warnings), "")
-        ended = outcome_line(status)
         if worst and not is_running(status):
             text.append(shorten(f"! {worst}", width), style="bold yellow")
-        elif ended:
-            text.append(shorten(ended, width), style=outcome_style(status))
+        else:
+            text.append(shorten(outcome_line(status), width), style=outcome_style(status))
 
-    def _proposal(self, text: Text, status: Status, width: int) -> None:
+    def _proposal(self, text: Text, status: Status) -> None:
         found = status.proposal
         if found is None:
             self.key(text, "prescan", "pre-scan finds the bounds", "dim")
@@ -140,18 +146,19 @@ class PlanPane(_Pane):
         self.key(text, "use_proposal", words, "bold cyan")
 
 
-class ProgressPane(_Pane):
+class ProgressPane(ScanPane):
     """The running sweep, or the last one."""
 
+    TITLE = "progress"
     DEFAULT_CSS = "ProgressPane { height: 9; }"
 
-    def __init__(self, key_of: KeyOf, *, ascii_only: bool = False) -> None:
-        super().__init__(key_of, ascii_only=ascii_only)
+    def __init__(self, key_of: KeyOf) -> None:
+        super().__init__(key_of)
         self.rates = History()
         self._scan_uid = ""
 
     def note(self, view: RigView, now_s: float) -> None:
-        """Keep the rate for the sparkline, also while the pane is not in view."""
+        """Record the rate for the sparkline, also while the pane is hidden."""
         status = view.status
         if status is None:
             return
@@ -162,15 +169,15 @@ class ProgressPane(_Pane):
             self.rates.add(status.rate_hz, now_s)
 
     def fill(self, text: Text, status: Status, width: int) -> None:
-        """Bar, remaining time, credit, how far each process is behind, points, rate over time, outcome."""
+        """Bar, remaining time, credit or outcome, how far each process is behind, points, rate over time."""
         if not status.expected:
             text.append("no sweep yet: ", style="dim")
             self.key(text, "start", "starts one", "dim")
             return
         percent = f" {status.committed}/{status.expected} {100 * fraction_done(status):3.0f} %"
-        done = bar(fraction_done(status), max(4, width - len(percent)), ascii_only=self.ascii_only)
         text.append(shorten(scan_name(status), width) + "\n", style="dim")
-        text.append(done, style="#4aa3ff").append(percent + "\n", style="bold")
+        text.append(bar(fraction_done(status), max(4, width - len(percent))), style="#4aa3ff")
+        text.append(percent + "\n", style="bold")
         if is_running(status):
             text.append(shorten(rate_words(status), width) + "\n")
             text.append(shorten(credit_words(status), width) + "\n")
@@ -181,7 +188,7 @@ class ProgressPane(_Pane):
         self._last(text, status, width)
 
     def _lags(self, status: Status) -> str:
-        worker = self.view.progress
+        worker = self.shown.progress
         lags = [
             ("camera", status.triggered - status.received),
             ("writer", status.received - status.committed),
@@ -192,24 +199,21 @@ class ProgressPane(_Pane):
         return "lag: " + " ".join(f"{name} {max(0, lag)}" for name, lag in lags)
 
     def _points(self) -> str:
-        worker = self.view.progress
+        worker = self.shown.progress
         if worker is None:
-            return "worker: nothing heard yet"
+            return "worker: no report yet"
         if worker.message:
             return f"worker: {worker.message}"
         provisional = f", {worker.points_provisional} provisional" if worker.points_provisional else ""
         return f"{worker.points_settled} points{provisional}"
 
     def _last(self, text: Text, status: Status, width: int) -> None:
-        trouble = [
-            f"{name} {count}" for name, count in (("retaken", status.retaken), ("missing", status.missing)) if count
-        ]
-        if trouble:
-            text.append("  ".join(trouble) + "  ", style="bold yellow")
-        room = width - len("frames/s ") - sum(len(word) + 2 for word in trouble)
+        counts = (("retaken", status.retaken), ("missing", status.missing))
+        trouble = "".join(f"{name} {count}  " for name, count in counts if count)
+        text.append(trouble, style="bold yellow")
+        room = width - len("frames/s ") - len(trouble)
         if self.rates.values and room > 4:
-            text.append("frames/s ", style="dim")
-            text.append(sparkline(self.rates.values, room, ascii_only=self.ascii_only), style="cyan")
+            text.append("frames/s ", style="dim").append(sparkline(self.rates.values, room), style="cyan")
 
 
 def outcome_style(status: Status) -> str:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from tests.fakes.fake_daemon import IDLE
 from tests.fakes.fake_link import FakeLink
 from tests.waiting import DEADLINE_S, Stopwatch
-from tui.console.app import ConsoleApp, ConsoleOptions
-from tui.console.link.messages import LinkChanged, StatusArrived
+from tui.console.app import ConsoleApp
+from tui.console.jobs import Job
+from tui.console.link.messages import LinkChanged, StatusArrived, Updates
+from tui.console.options import ConsoleOptions
 from tui.console.screens.base import RigScreenBase
-from tui.processes.child_jobs import Job
 
 ME = "anna on pts/3"
 
@@ -20,11 +22,10 @@ ME = "anna on pts/3"
 class Stage:
     """A running console, what it sent, what it started, what it shows."""
 
-    def __init__(self, app: ConsoleApp, pilot) -> None:
-        self.app, self.pilot = app, pilot
-        self.link: FakeLink = app._link  # type: ignore[assignment]
+    def __init__(self, app: ConsoleApp, pilot, link: FakeLink) -> None:
+        self.app, self.pilot, self.link = app, pilot, link
         self.started: list[tuple[list[str], str]] = []
-        self._ends: list = []
+        self._calls: list[tuple] = []
 
     @property
     def screen(self) -> RigScreenBase:
@@ -38,11 +39,10 @@ class Stage:
 
     @property
     def log(self) -> str:
-        return "\n".join(line.text for line in self.app.logbook.lines)
+        return "\n".join(line.text for line in self.app.state.log.lines)
 
-    async def hear(self, *messages) -> None:
-        for message in messages:
-            self.app.post_message(message)
+    async def hear(self, *updates) -> None:
+        self.app.post_message(Updates(list(updates), lambda: None))
         await self.pilot.pause()
 
     async def connect(self, status=IDLE) -> None:
@@ -68,42 +68,55 @@ class Stage:
     @property
     def painted(self) -> str:
         """The whole screen as text."""
-        return "\n".join("".join(segment.text for segment in strip) for strip in self._strips())
-
-    def _strips(self):
-        return self.app.screen._compositor.render_strips()
+        # private to Textual: nothing public renders what the terminal shows
+        strips = self.app.screen._compositor.render_strips()
+        return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
     def watch_jobs(self) -> None:
         """Jobs are noted instead of started."""
 
-        def start(title, arguments, subject, on_end=None, **_):
+        def start(title, arguments, subject, on_end=None, *, on_result=None, quiet=False):
+            job = Job(title, subject, quiet)
             self.started.append((list(arguments), subject))
-            self._ends.append(on_end)
-            return Job(len(self.started), title, subject, 0.0)
+            self._calls.append((job, on_end, on_result))
+            return job
 
         self.app.jobs.start = start  # type: ignore[method-assign]
 
-    async def end_job(self, result: dict | None, exit_status: int = 0, **facts) -> None:
+    async def end_job(self, result: dict | None, exit_status: int = 0, words: str = "") -> None:
         """The newest noted job ends."""
-        self._ends[-1](Job(1, "job", "", 0.0, running=False, exit_status=exit_status, result=result, **facts))
+        job, on_end, _ = self._calls[-1]
+        job.running, job.exit_status, job.result, job.words = False, exit_status, result, words
+        on_end(job)
+        await self.pilot.pause()
+
+    async def report(self, result: dict) -> None:
+        """The newest noted job prints an object."""
+        self._calls[-1][2](result)
         await self.pilot.pause()
 
 
 def play(
     script: Callable[[Stage], Awaitable[None]],
     *,
-    screen: str,
+    screen: str = "scan",
     size: tuple[int, int] = (80, 24),
-    ascii_only: bool = False,
-    read_only: bool = False,
     data_dir: Path = Path("/nonexistent"),
+    now_s: Callable[[], float] = time.monotonic,
+    **options,
 ) -> None:
     """Run the console on ``screen`` and play ``script``."""
 
     async def run() -> None:
-        options = ConsoleOptions(me=ME, screen=screen, ascii_only=ascii_only, read_only=read_only, data_dir=data_dir)
-        app = ConsoleApp(FakeLink, options, clock=lambda: "12:00:00")
-        async with app.run_test(size=size) as pilot:
-            await script(Stage(app, pilot))
+        links: list[FakeLink] = []
 
-    asyncio.run(run())
+        def connect(post):
+            links.append(FakeLink(post))
+            return links[0]
+
+        chosen = ConsoleOptions(me=ME, screen=screen, data_dir=data_dir, **options)
+        app = ConsoleApp(connect, chosen, clock=lambda: "12:00:00", now_s=now_s)
+        async with app.run_test(size=size) as pilot:
+            await script(Stage(app, pilot, links[0]))
+
+    asyncio.run(asyncio.wait_for(run(), 60))

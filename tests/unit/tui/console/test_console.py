@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
-from collections.abc import Awaitable, Callable
-
 import msgspec
 import pytest
 
@@ -13,8 +9,7 @@ from acquire.contract.messaging.messages import FaultReport, ResultEnd
 from acquire.contract.states import HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
 from tests.fakes.fake_link import FakeLink
-from tests.unit.tui.console.stage import ME, Stage
-from tui.console.app import ConsoleApp, ConsoleOptions
+from tests.unit.tui.console.stage import play
 from tui.console.link.messages import (
     CommandAnswered,
     LinkChanged,
@@ -24,7 +19,7 @@ from tui.console.link.messages import (
     StatusArrived,
 )
 from tui.console.screens.actions import ActionList
-from tui.console.screens.dialogs import ConfirmQuit, Form
+from tui.console.screens.dialogs import Confirm, FormDialog
 from tui.console.widgets.frame import FaultBanner, Header, KeyLine
 from tui.console.widgets.scan_panes import PlanPane, ProgressPane, StagePane
 
@@ -32,26 +27,6 @@ URL = "http://127.0.0.1:8080/?token=secret"
 FAULT = FaultReport(
     code="F03", happened="the writer is lost", safe="410 of 527 frames are saved", to_do="nothing", at_mono_ns=7
 )
-
-
-def drive(
-    script: Callable[[Stage], Awaitable[None]],
-    *,
-    size=(80, 24),
-    owns_rig=False,
-    ascii_only=False,
-    read_only=False,
-    now_s=time.monotonic,
-) -> None:
-    """Run the console without a terminal and play ``script``."""
-
-    async def play() -> None:
-        options = ConsoleOptions(owns_rig=owns_rig, ascii_only=ascii_only, read_only=read_only, me=ME)
-        app = ConsoleApp(FakeLink, options, clock=lambda: "12:00:00", now_s=now_s)
-        async with app.run_test(size=size) as pilot:
-            await script(Stage(app, pilot))
-
-    asyncio.run(asyncio.wait_for(play(), 60))
 
 
 def replace(status, **changes):
@@ -63,7 +38,7 @@ def test_before_anything_is_heard_the_console_says_that_it_is_not_connected():
         assert "NOT CONNECTED - RETRYING" in stage.shown(Header)
         assert stage.link.started
 
-    drive(script)
+    play(script)
 
 
 def test_state_position_counts_and_rate_are_shown():
@@ -79,7 +54,7 @@ def test_state_position_counts_and_rate_are_shown():
         assert "48213 points, 2911 provisional" in sweep
         assert URL in stage.shown(Header)
 
-    drive(script)
+    play(script)
 
 
 def test_a_lost_daemon_is_said_and_the_last_known_state_is_marked_as_that():
@@ -89,19 +64,19 @@ def test_a_lost_daemon_is_said_and_the_last_known_state_is_marked_as_that():
         assert "last known: SWEEPING" in stage.shown(Header)
         assert "NOT CONNECTED - RETRYING" in stage.shown(Header)
 
-    drive(script)
+    play(script)
 
 
 def test_start_asks_for_a_name_with_the_last_one_as_default():
     async def script(stage):
         await stage.connect(replace(IDLE, scan_path="/data/20260101T120000Z-left-ear", outcome=Outcome.COMPLETE))
         await stage.press("s")
-        assert isinstance(stage.app.screen, Form)
+        assert isinstance(stage.app.screen, FormDialog)
         await stage.press("enter")
         assert [name for name, _ in stage.sent] == ["scan"]
         assert stage.sent[0][1]["name"] == "left-ear"
 
-    drive(script)
+    play(script)
 
 
 def test_a_typed_name_replaces_the_default():
@@ -111,7 +86,7 @@ def test_a_typed_name_replaces_the_default():
         await stage.press(*"ear2", "enter")
         assert stage.sent[0][1]["name"] == "ear2"
 
-    drive(script)
+    play(script)
 
 
 def test_escape_starts_nothing():
@@ -120,7 +95,7 @@ def test_escape_starts_nothing():
         await stage.press("s", "escape")
         assert stage.sent == []
 
-    drive(script)
+    play(script)
 
 
 def test_a_name_with_a_slash_is_refused_and_the_question_stays():
@@ -128,10 +103,10 @@ def test_a_name_with_a_slash_is_refused_and_the_question_stays():
         await stage.connect()
         await stage.press("s")
         await stage.press("a", "slash", "b", "enter")
-        assert isinstance(stage.app.screen, Form)
+        assert isinstance(stage.app.screen, FormDialog)
         assert stage.sent == []
 
-    drive(script)
+    play(script)
 
 
 def test_start_while_a_sweep_runs_is_explained_and_not_sent():
@@ -141,7 +116,7 @@ def test_start_while_a_sweep_runs_is_explained_and_not_sent():
         assert stage.sent == []
         assert "start: a scan is running; stop it first" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_pause_and_resume_are_sent_in_their_states():
@@ -153,7 +128,7 @@ def test_pause_and_resume_are_sent_in_their_states():
         await stage.press("r")
         assert [name for name, _ in stage.sent] == ["pause", "resume"]
 
-    drive(script)
+    play(script)
 
 
 def test_space_stops_from_the_main_screen_from_an_input_and_from_every_dialog():
@@ -163,15 +138,15 @@ def test_space_stops_from_the_main_screen_from_an_input_and_from_every_dialog():
         await stage.press("question_mark")
         assert isinstance(stage.app.screen, ActionList)
         await stage.press("space", "escape", "q")
-        assert isinstance(stage.app.screen, ConfirmQuit)
+        assert isinstance(stage.app.screen, Confirm)
         await stage.press("space", "n")
         await stage.hear(StatusArrived(IDLE))
         await stage.press("s")
-        assert isinstance(stage.app.screen, Form)
+        assert isinstance(stage.app.screen, FormDialog)
         await stage.press("space")
         assert [name for name, _ in stage.sent] == ["stop"] * 4
 
-    drive(script, owns_rig=True)
+    play(script, owns_rig=True)
 
 
 def test_space_stops_even_when_nothing_is_known_of_the_rig():
@@ -179,7 +154,7 @@ def test_space_stops_even_when_nothing_is_known_of_the_rig():
         await stage.press("space")
         assert stage.sent == [("stop", {})]
 
-    drive(script)
+    play(script)
 
 
 def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_it():
@@ -196,7 +171,7 @@ def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_i
         assert "stopped at" in stage.log and "1236 microsteps" in stage.log
         assert "STOP" not in stage.shown(Header)
 
-    drive(script)
+    play(script)
 
 
 def test_a_stop_that_nobody_answered_is_called_not_confirmed():
@@ -206,7 +181,7 @@ def test_a_stop_that_nobody_answered_is_called_not_confirmed():
         await stage.hear(CommandAnswered("stop", False, "no answer", at_mono_ns=100))
         assert "STOP NOT CONFIRMED" in stage.shown(Header)
 
-    drive(script)
+    play(script)
 
 
 def test_a_refused_command_is_shown_with_the_daemons_reason():
@@ -215,7 +190,7 @@ def test_a_refused_command_is_shown_with_the_daemons_reason():
         await stage.hear(CommandAnswered("scan", False, "the disk is full: 3.0 GB are needed"))
         assert "scan: the disk is full: 3.0 GB are needed" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_a_fault_is_a_banner_until_it_is_acknowledged_and_stays_in_the_log():
@@ -231,7 +206,7 @@ def test_a_fault_is_a_banner_until_it_is_acknowledged_and_stays_in_the_log():
         assert not stage.app.rig_screen.query_one(FaultBanner).display
         assert "F03 the writer is lost" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_the_same_fault_is_logged_once_however_often_it_is_repeated():
@@ -240,18 +215,18 @@ def test_the_same_fault_is_logged_once_however_often_it_is_repeated():
             await stage.connect(replace(SWEEPING, faults=[FAULT]))
         assert stage.log.count("F03") == 1
 
-    drive(script)
+    play(script)
 
 
 def test_quitting_a_console_that_owns_the_rig_asks_while_a_sweep_runs():
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("q")
-        assert isinstance(stage.app.screen, ConfirmQuit)
+        assert isinstance(stage.app.screen, Confirm)
         await stage.press("n")
-        assert stage.app.is_running and not isinstance(stage.app.screen, ConfirmQuit)
+        assert stage.app.is_running and not isinstance(stage.app.screen, Confirm)
 
-    drive(script, owns_rig=True)
+    play(script, owns_rig=True)
 
 
 @pytest.mark.parametrize(("owns_rig", "words"), [(True, "asks first"), (False, "goes on without this screen")])
@@ -259,10 +234,10 @@ def test_the_help_says_what_leaving_does_to_a_sweep(owns_rig, words):
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("question_mark")
-        (entry,) = [entry for entry in stage.app.screen._entries if entry.action == "quit"]
+        (entry,) = [entry for entry in stage.app.screen.entries if entry.action == "quit"]
         assert words in entry.words and (entry.key == "q")
 
-    drive(script, owns_rig=owns_rig)
+    play(script, owns_rig=owns_rig)
 
 
 def test_a_console_that_owns_the_rig_asks_also_while_the_rig_is_not_heard():
@@ -270,9 +245,9 @@ def test_a_console_that_owns_the_rig_asks_also_while_the_rig_is_not_heard():
         await stage.connect(SWEEPING)
         await stage.hear(LinkChanged(connected=False, detail="nothing is heard"))
         await stage.press("q")
-        assert isinstance(stage.app.screen, ConfirmQuit)
+        assert isinstance(stage.app.screen, Confirm)
 
-    drive(script, owns_rig=True)
+    play(script, owns_rig=True)
 
 
 def test_an_answer_typed_before_the_question_could_be_read_does_not_count():
@@ -281,21 +256,21 @@ def test_an_answer_typed_before_the_question_could_be_read_does_not_count():
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("q", "y")
-        assert isinstance(stage.app.screen, ConfirmQuit)
+        assert isinstance(stage.app.screen, Confirm)
         now_s[0] += 0.4
         await stage.press("y")
-        assert not isinstance(stage.app.screen, ConfirmQuit)
+        assert not isinstance(stage.app.screen, Confirm)
 
-    drive(script, owns_rig=True, now_s=lambda: now_s[0])
+    play(script, owns_rig=True, now_s=lambda: now_s[0])
 
 
 def test_quitting_a_plain_console_never_asks():
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("q")
-        assert stage.app._exit
+        assert not stage.app.is_running
 
-    drive(script)
+    play(script)
 
 
 def test_saved_appears_when_the_sealed_scan_lacks_nothing():
@@ -309,7 +284,7 @@ def test_saved_appears_when_the_sealed_scan_lacks_nothing():
         assert "SAVED: 527 of 527 frames are safe" in stage.shown(PlanPane)
         assert "SAVED: 527 of 527 frames are safe" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_a_cloud_on_disk_is_told_with_its_path():
@@ -318,7 +293,7 @@ def test_a_cloud_on_disk_is_told_with_its_path():
         await stage.hear(ResultsOnDisk(end))
         assert "51124 points in /d/cloud.ply" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_the_key_line_offers_what_can_be_done_now_and_always_stop():
@@ -329,7 +304,7 @@ def test_the_key_line_offers_what_can_be_done_now_and_always_stop():
         await stage.hear(StatusArrived(SWEEPING))
         assert "p pause" in stage.shown(KeyLine) and "s start" not in stage.shown(KeyLine)
 
-    drive(script)
+    play(script)
 
 
 def test_a_terminal_that_is_too_small_says_so_and_stop_still_works():
@@ -341,7 +316,7 @@ def test_a_terminal_that_is_too_small_says_so_and_stop_still_works():
         await stage.press("space")
         assert stage.sent == [("stop", {})]
 
-    drive(script)
+    play(script)
 
 
 def test_an_ascii_console_shows_ascii_only_in_its_panes():
@@ -350,7 +325,7 @@ def test_an_ascii_console_shows_ascii_only_in_its_panes():
         for pane in (Header, ProgressPane, FaultBanner, Header, KeyLine):
             assert stage.shown(pane).isascii()
 
-    drive(script, ascii_only=True)
+    play(script, ascii_only=True)
 
 
 def test_leaving_closes_the_connection():
@@ -361,7 +336,7 @@ def test_leaving_closes_the_connection():
         links.append(link)
 
     links: list[FakeLink] = []
-    drive(script)
+    play(script)
     assert links[0].closed
 
 
@@ -372,7 +347,7 @@ def test_resume_of_a_sweep_that_holds_by_itself_is_explained_and_not_sent():
         assert stage.sent == []
         assert "goes on by itself" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_a_message_that_repeats_a_fault_or_the_outcome_is_not_logged_twice():
@@ -383,4 +358,4 @@ def test_a_message_that_repeats_a_fault_or_the_outcome_is_not_logged_twice():
         await stage.hear(StatusArrived(ended), StatusArrived(replace(ended, message=f"{words} (by the operator)")))
         assert stage.log.count("F03") == 1 and stage.log.count(words) == 1
 
-    drive(script)
+    play(script)

@@ -18,12 +18,12 @@ from tests.fakes.fake_link import FakeLink
 from tests.fakes.scans.small_scans import make_scan
 from tests.fakes.scans.some_maps import live_maps
 from tui.console.app import ConsoleApp
-from tui.console.link.messages import LinkChanged, MapsArrived, PictureArrived, ProgressArrived, StatusArrived
+from tui.console.jobs import Job
+from tui.console.link.messages import LinkChanged, MapsArrived, PictureArrived, ProgressArrived, StatusArrived, Updates
 from tui.console.link.rig_view import PictureView
 from tui.console.options import ConsoleOptions
 from tui.console.screens import scans
-from tui.console.screens.calibrate import BoardSeen
-from tui.console.state.fault_log import FaultBook
+from tui.console.state.fault_log import FaultLog
 from tui.console.widgets import scan_rows
 from tui.console.widgets.rows import RowList
 
@@ -35,14 +35,17 @@ FAULTS = [
 ]
 
 
+def hear(pilot, *updates) -> None:
+    pilot.app.post_message(Updates(list(updates), lambda: None))
+
+
 async def maps(pilot) -> None:
-    pilot.app.post_message(ProgressArrived(msgspec.structs.replace(PROGRESS, scan_uid="uid-1")))
-    pilot.app.post_message(MapsArrived(live_maps()))
+    hear(pilot, ProgressArrived(msgspec.structs.replace(PROGRESS, scan_uid="uid-1")), MapsArrived(live_maps()))
     await pilot.pause()
 
 
 async def faults(pilot) -> None:
-    pilot.app.post_message(StatusArrived(msgspec.structs.replace(SWEEPING, faults=FAULTS)))
+    hear(pilot, StatusArrived(msgspec.structs.replace(SWEEPING, faults=FAULTS)))
     await pilot.pause()
 
 
@@ -61,12 +64,13 @@ async def listed(pilot) -> None:
 
 
 async def board(pilot) -> None:
-    pilot.app.post_message(StatusArrived(msgspec.structs.replace(IDLE, state=State.PREVIEW, activity="preview")))
+    hear(pilot, StatusArrived(msgspec.structs.replace(IDLE, state=State.PREVIEW, activity="preview")))
+    await pilot.pause()
     y, x = np.mgrid[:96, :128]
     squares = (y // 8 + x // 8) % 2
     pixels = np.where((x > 12) & (x < 100) & (y > 12) & (y < 76), 40 + 170 * squares, 12).astype(np.uint8)
     header = Picture(shape=[96, 128], source_shape=[768, 1024], high=210.0, low=12.0)
-    pilot.app.post_message(PictureArrived(PictureView.of(header, pixels.tobytes())))
+    hear(pilot, PictureArrived(PictureView.of(header, pixels.tobytes())))
     corners = [[px / 127, py / 95] for px in range(16, 100, 8) for py in range(16, 76, 8)]
     views = [
         {"name": "view-01.png", "found": True, "words": "flat (2 degrees)"},
@@ -76,7 +80,7 @@ async def board(pilot) -> None:
     advice = ["tilt it the other way: left side higher", "move it: corner top right is empty", "6 more views"]
     live = {"found": True, "corners": corners, "words": "top side higher by 12 degrees: a new view, capture it"}
     facts = {"views": views, "coverage": [[2, 2, 1, 0], [2, 2, 2, 1], [1, 2, 2, 1]], "advice": advice, "live": live}
-    pilot.app.rig_screen.post_message(BoardSeen(facts))
+    pilot.app.jobs.on_result(facts)
     await pilot.pause()
 
 
@@ -87,6 +91,25 @@ PLAYS: dict[str, Callable[..., Awaitable[None]]] = {
     "faults": faults,
     "log": news,
 }
+
+
+class NoJobs:
+    """Starts none, and keeps the function that takes the results of the last one."""
+
+    running = work = ()
+
+    def start(self, *_, on_result=None, **__):
+        self.on_result = on_result
+        return Job("job", "subject")
+
+    def cancel(self, job) -> None:
+        """It never ran."""
+
+    def running_on(self, subject) -> None:
+        """Nothing does."""
+
+    async def close(self) -> None:
+        """There is nothing to close."""
 
 
 @pytest.fixture
@@ -104,12 +127,11 @@ def test_the_screen_looks_as_it_did(snap_compare, screen, size, folder, monkeypa
     for module in (scans, scan_rows, tui.scans.folder):  # how large a scan's file is, is not what this compares
         monkeypatch.setattr(module, "format_bytes", lambda _size: "1.2 GB")
     app = ConsoleApp(FakeLink, ConsoleOptions(screen=screen, data_dir=folder), clock=lambda: "12:00:00")
-    app.fault_book = FaultBook(wall_time=lambda ns: f"2026-01-01 12:00:0{ns // 10**9}")
-    app.jobs.start = lambda *_, **__: None  # type: ignore[method-assign]
+    app.state.faults = FaultLog(wall_time=lambda ns: f"2026-01-01 12:00:0{ns // 10**9}")
+    app.jobs = NoJobs()  # type: ignore[assignment]
 
     async def play(pilot):
-        app.post_message(LinkChanged(True, "/run/sweepscope"))
-        app.post_message(StatusArrived(SWEEPING))
+        hear(pilot, LinkChanged(True, "/run/sweepscope"), StatusArrived(SWEEPING))
         await pilot.pause()
         await PLAYS[screen](pilot)
         await pilot.pause()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import random
 
 import pytest
@@ -10,14 +9,13 @@ import pytest
 from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING, wandering_disc
-from tests.fakes.fake_link import FakeLink
-from tests.unit.tui.console.test_console import FAULT, ME, drive, replace
-from tui.console.app import ConsoleApp, ConsoleOptions
+from tests.unit.tui.console.stage import ME, play
+from tests.unit.tui.console.test_console import FAULT, replace
 from tui.console.link.messages import CommandAnswered, LinkChanged, PictureArrived, ProgressArrived, StatusArrived
 from tui.console.link.rig_view import PictureView
 from tui.console.screen_table import SCREENS
-from tui.console.screens.adjust import Adjust
-from tui.console.screens.dialogs import Form
+from tui.console.screens.adjust import AdjustDialog
+from tui.console.screens.dialogs import FormDialog
 from tui.console.widgets.frame import Header, KeyLine
 from tui.console.widgets.scan_panes import LightPane, PlanPane, StagePane
 
@@ -36,7 +34,7 @@ def test_number_keys_switch_screens_and_stop_works_on_each():
             await stage.press("space")
         assert [name for name, _ in stage.sent].count("stop") == len(SCREENS)
 
-    drive(script)
+    play(script)
 
 
 def test_help_is_searched_and_runs_what_was_chosen():
@@ -44,21 +42,21 @@ def test_help_is_searched_and_runs_what_was_chosen():
         await stage.connect()
         await stage.press("question_mark")
         await stage.press(*"lamp")
-        assert len(stage.app.screen._found) == 1
+        assert len(stage.app.screen.found) == 1
         await stage.press("enter")
         assert stage.sent == [("lamp", {"on": True})]
 
-    drive(script)
+    play(script)
 
 
 def test_help_says_why_an_action_cannot_be_done_now():
     async def script(stage):
         await stage.connect(SWEEPING)
         await stage.press("question_mark")
-        found = {entry.action: entry.why_not for entry in stage.app.screen._entries}
+        found = {entry.action: entry.why_not for entry in stage.app.screen.entries}
         assert "a scan is running" in found["start"] and not found["pause"]
 
-    drive(script)
+    play(script)
 
 
 def test_the_palette_goes_to_another_screen():
@@ -69,7 +67,7 @@ def test_the_palette_goes_to_another_screen():
         await stage.press("enter")
         assert stage.app.rig_screen.NAME == "scans"
 
-    drive(script)
+    play(script)
 
 
 def test_every_action_has_a_key_an_id_and_words():
@@ -81,7 +79,7 @@ def test_every_action_has_a_key_an_id_and_words():
             assert len(set(keys)) == len(keys), f"two actions of {entry.name} share a key: {sorted(keys)}"
             assert all(binding.id and binding.description for binding in screen.actions())
 
-    drive(script)
+    play(script)
 
 
 def test_while_somebody_else_holds_control_nothing_is_sent_but_stop_and_the_holder_is_named():
@@ -95,7 +93,7 @@ def test_while_somebody_else_holds_control_nothing_is_sent_but_stop_and_the_hold
         await stage.press("space", "T")
         assert stage.sent == [("stop", {}), ("control", {"action": "take"})]
 
-    drive(script)
+    play(script)
 
 
 def test_control_that_is_ours_is_given_back_by_the_same_key():
@@ -105,7 +103,7 @@ def test_control_that_is_ours_is_given_back_by_the_same_key():
         await stage.press("T")
         assert stage.sent == [("control", {"action": "release"})]
 
-    drive(script)
+    play(script)
 
 
 def test_a_read_only_console_has_no_action_that_moves_and_sends_none_but_has_stop():
@@ -120,7 +118,7 @@ def test_a_read_only_console_has_no_action_that_moves_and_sends_none_but_has_sto
         await stage.press("space")
         assert stage.sent == [("stop", {})]
 
-    drive(script, read_only=True)
+    play(script, read_only=True)
 
 
 def test_jog_sends_one_bounded_move_and_keeps_at_most_one():
@@ -129,7 +127,7 @@ def test_jog_sends_one_bounded_move_and_keeps_at_most_one():
         await stage.press(*["full_stop"] * 8)
         assert stage.sent == [("jog", {"steps": 3})]
 
-    drive(script)
+    play(script)
 
 
 def test_jog_at_the_limit_is_explained_and_not_sent():
@@ -139,7 +137,7 @@ def test_jog_at_the_limit_is_explained_and_not_sent():
         assert stage.sent == []
         assert "the upper limit is 4500 microsteps" in stage.log
 
-    drive(script)
+    play(script)
 
 
 def test_a_held_jog_sends_a_lease_with_its_direction():
@@ -148,7 +146,7 @@ def test_a_held_jog_sends_a_lease_with_its_direction():
         await stage.press("k")
         assert stage.sent[0][0] == "jog_hold" and stage.sent[0][1]["direction"] == 1
 
-    drive(script)
+    play(script)
 
 
 def test_first_and_last_are_set_from_where_the_stage_is():
@@ -162,7 +160,7 @@ def test_first_and_last_are_set_from_where_the_stage_is():
         await stage.press("enter")
         assert stage.sent[0][1]["first_steps"] == 120 and stage.sent[0][1]["last_steps"] == 900
 
-    drive(script)
+    play(script)
 
 
 def test_the_exposure_is_stepped_at_once_and_a_number_out_of_limits_is_refused():
@@ -173,9 +171,9 @@ def test_the_exposure_is_stepped_at_once_and_a_number_out_of_limits_is_refused()
         name, args = stage.sent[0]
         assert name == "camera" and args["exposure_ms"] > 30.0
         await stage.press(*"9999", "enter")
-        assert isinstance(stage.app.screen, Adjust) and len(stage.sent) == 1
+        assert isinstance(stage.app.screen, AdjustDialog) and len(stage.sent) == 1
 
-    drive(script)
+    play(script)
 
 
 def test_settings_that_change_quickly_are_sent_one_at_a_time_and_the_newest_last():
@@ -188,18 +186,18 @@ def test_settings_that_change_quickly_are_sent_one_at_a_time_and_the_newest_last
         await stage.hear(CommandAnswered("camera", True, "", 1, f"request-{number}"))
         assert len(stage.sent) == 2 and stage.sent[1][1]["gain"] == stage.app.screen.value
 
-    drive(script)
+    play(script)
 
 
 def test_an_underscore_in_a_field_for_words_is_a_space():
     async def script(stage):
         await stage.connect()
         await stage.press("i")
-        assert isinstance(stage.app.screen, Form)
+        assert isinstance(stage.app.screen, FormDialog)
         await stage.press("tab", *"left", "underscore", *"ear", "enter")
-        assert stage.app.draft.specimen == "left ear"
+        assert stage.app.state.draft.specimen == "left ear"
 
-    drive(script)
+    play(script)
 
 
 def test_the_estimate_is_asked_for_by_itself_and_its_warning_is_shown():
@@ -211,21 +209,17 @@ def test_the_estimate_is_asked_for_by_itself_and_its_warning_is_shown():
         await stage.hear(CommandAnswered("estimate", True, "", 1, "request-1", result))
         assert "527 frames  0:00:35" in stage.shown(PlanPane) and "! the lamp is off" in stage.shown(PlanPane)
 
-    drive(script)
+    play(script)
 
 
 def test_the_panes_show_keys_that_the_operator_chose():
-    async def play():
-        app = ConsoleApp(FakeLink, ConsoleOptions(keymap={"scan.home": "H"}))
-        async with app.run_test(size=(100, 30)) as pilot:
-            app.post_message(LinkChanged(True, ""))
-            app.post_message(StatusArrived(READY))
-            await pilot.pause()
-            assert "H home" in app.rig_screen.query_one(StagePane).plain
-            await pilot.press("h", "H")
-            assert [name for name, _ in app._link.sent if name == "home"] == ["home"]
+    async def script(stage):
+        await stage.connect(READY)
+        assert "H home" in stage.shown(StagePane)
+        await stage.press("h", "H")
+        assert [name for name, _ in stage.sent] == ["home"]
 
-    asyncio.run(asyncio.wait_for(play(), 60))
+    play(script, size=(100, 30), keymap={"scan.home": "H"})
 
 
 def test_colours_change_by_key_and_nothing_else_does():
@@ -235,7 +229,7 @@ def test_colours_change_by_key_and_nothing_else_does():
         await stage.press("ctrl+t", "ctrl+t")
         assert stage.app.theme == "sweepscope-contrast" and stage.shown(LightPane) == before
 
-    drive(script)
+    play(script)
 
 
 def test_pictures_are_wanted_only_while_a_screen_shows_them():
@@ -245,7 +239,7 @@ def test_pictures_are_wanted_only_while_a_screen_shows_them():
         await stage.press("6")
         assert not stage.link.pictures_wanted
 
-    drive(script)
+    play(script)
 
 
 def test_screens_and_keys_can_be_clicked():
@@ -257,9 +251,9 @@ def test_screens_and_keys_can_be_clicked():
         await stage.press("1")
         await stage.pilot.click(KeyLine, offset=(3, 0))
         await stage.pilot.pause()
-        assert isinstance(stage.app.screen, Form)
+        assert isinstance(stage.app.screen, FormDialog)
 
-    drive(script)
+    play(script)
 
 
 KEYS = [
@@ -284,4 +278,4 @@ def test_random_keys_and_states_never_crash_the_console(seed):
                 await stage.pilot.resize_terminal(chance.randint(30, 170), chance.randint(8, 55))
         assert stage.app.is_running and not stage.app._exception
 
-    drive(script)
+    play(script)

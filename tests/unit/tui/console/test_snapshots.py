@@ -10,7 +10,14 @@ from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING, wandering_disc
 from tests.fakes.fake_link import FakeLink
 from tui.console.app import ConsoleApp
-from tui.console.link.messages import LinkChanged, PageKnown, PictureArrived, ProgressArrived, StatusArrived
+from tui.console.link.messages import (
+    LinkChanged,
+    PageKnown,
+    PictureArrived,
+    ProgressArrived,
+    StatusArrived,
+    Updates,
+)
 from tui.console.link.rig_view import PictureView
 
 SIZES = [(80, 24), (160, 50)]
@@ -62,14 +69,11 @@ PICTURE = PictureView(
 )
 def test_the_rig_screen_looks_as_it_did(snap_compare, states, size):
     async def play(pilot):
-        pilot.app.post_message(LinkChanged(True, "/run/sweepscope"))
-        pilot.app.post_message(PageKnown(URL))
-        for status in states:
-            pilot.app.post_message(StatusArrived(status))
+        first = [LinkChanged(True, "/run/sweepscope"), PageKnown(URL)]
+        last = [ProgressArrived(PROGRESS), PictureArrived(PICTURE)]
+        for updates in (first, *([StatusArrived(status)] for status in states), last):
+            pilot.app.post_message(Updates(updates, lambda: None))
             await pilot.pause()
-        pilot.app.post_message(ProgressArrived(PROGRESS))
-        pilot.app.post_message(PictureArrived(PICTURE))
-        await pilot.pause()
 
     app = ConsoleApp(FakeLink, clock=lambda: "12:00:00", now_s=lambda: 1000.0)
     assert snap_compare(app, terminal_size=size, run_before=play)

@@ -11,12 +11,12 @@ GOOD = {"TERM": "xterm-256color", "COLORTERM": "truecolor", "LANG": "en_US.UTF-8
 FAST = Measured(0.005, None, synchronised=True)
 
 
-def mends(environ=GOOD, size=(80, 24), measured=FAST, tmux=None) -> dict[str, str]:
-    return {found.name: found.mend for found in findings(environ, size, measured, tmux or {}) if found.mend}
+def fixes(environ=GOOD, size=(80, 24), measured=FAST, tmux=None) -> dict[str, str]:
+    return {found.name: found.fix for found in findings(environ, size, measured, tmux or {}) if found.fix}
 
 
-def test_a_good_terminal_needs_no_mending():
-    assert mends() == {}
+def test_a_good_terminal_needs_no_fix():
+    assert fixes() == {}
 
 
 @pytest.mark.parametrize(
@@ -30,8 +30,8 @@ def test_a_good_terminal_needs_no_mending():
         ({"environ": GOOD | {"TMUX": "x"}, "tmux": {"escape-time": "500"}}, "tmux escape-time", "escape-time 20"),
     ],
 )
-def test_each_shortcoming_comes_with_its_mend(wrong, name, words):
-    assert words in mends(**wrong)[name]
+def test_each_shortcoming_comes_with_its_fix(wrong, name, words):
+    assert words in fixes(**wrong)[name]
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from rich.cells import cell_len
+from rich.text import Text
 
 from acquire.contract.messaging.messages import FaultReport, Proposal
-from acquire.contract.states import HoldReason, Outcome, State
+from acquire.contract.states import SIGNS, HoldReason, Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING
-from tui.console.state.log_messages import Narrator
+from tui.console.state.session_log import SessionLog
+from tui.text.ascii_signs import to_ascii
 from tui.text.sizes import parse_size
+from tui.text.sparkline import sparkline
 from tui.text.status_text import (
     bar,
     fraction_done,
@@ -21,9 +25,8 @@ from tui.text.status_text import (
     scan_name,
     state_words,
     status_lines,
-    worker_words,
 )
-from tui.text.width import shorten, spread
+from tui.text.width import shorten
 
 ENDED = msgspec.structs.replace(SWEEPING, state=State.IDLE, outcome=Outcome.COMPLETE, committed=527, durable=527)
 
@@ -81,8 +84,10 @@ def test_the_bar_is_as_wide_as_told_whatever_the_fraction():
     assert [len(bar(fraction, 10)) for fraction in (-1, 0, 0.5, 1, 7)] == [10] * 5
 
 
-def test_the_ascii_bar_is_ascii():
-    assert bar(0.5, 4, ascii_only=True) == "##--"
+def test_every_sign_has_a_plain_one_of_the_same_width():
+    signs = bar(0.5, 4) + sparkline([0, 1, 2, 3, 4, 5, 6, 7], 8) + "".join(sign.glyph for sign in SIGNS.values())
+    plain = to_ascii(Text(signs, "bold")).plain
+    assert plain.isascii() and len(plain) == len(signs)
 
 
 def test_the_banner_shows_the_newest_fault_that_nobody_acknowledged():
@@ -96,10 +101,6 @@ def test_the_banner_shows_the_newest_fault_that_nobody_acknowledged():
 
 def test_the_scan_is_called_by_its_folder():
     assert scan_name(SWEEPING) == "20260101T120000Z-stirrup"
-
-
-def test_the_worker_that_was_never_heard_is_said_to_be_unheard():
-    assert "nothing heard" in worker_words(None)
 
 
 def test_the_progress_line_counts_points_of_both_kinds():
@@ -120,10 +121,8 @@ def test_short_text_stays_as_it_is():
     assert shorten("abc", 3) == "abc"
 
 
-def test_the_right_part_of_a_spread_line_survives_any_width():
-    assert spread("left side of the line", "STOP", 12).endswith("STOP")
-    assert len(spread("left side of the line", "STOP", 12)) == 12
-    assert spread("left", "STOP", 4) == "STOP"
+def test_wide_characters_take_two_cells_each():
+    assert cell_len(shorten("漢字" * 10, 12)) <= 12 and cell_len(shorten("漢字", 3)) <= 3
 
 
 @pytest.mark.parametrize("text", ["", "1024", "0x768", "1024X768", "1024x768x3", "-1x5", "1e3x768"])
@@ -145,14 +144,15 @@ def test_status_says_what_runs_beside_a_sweep_who_holds_control_and_what_was_pro
     assert not any(line.startswith(("doing", "control", "proposal")) for line in status_lines(IDLE))
 
 
-def test_what_a_busy_worker_says_in_each_frame_is_one_line_of_the_log_for_each_scan():
-    narrator = Narrator()
+def test_what_a_busy_worker_says_with_each_frame_is_one_line_of_the_log_for_each_scan():
+    log = SessionLog()
 
-    def said(words: str, scan_uid: str = "a") -> list[str]:
-        progress = msgspec.structs.replace(PROGRESS, scan_uid=scan_uid, message=words)
-        return [text for text, _level in narrator.worker_said(progress)]
+    def logged(words: str, scan_uid: str = "a") -> list[str]:
+        count = len(log.lines)
+        log.take_progress(msgspec.structs.replace(PROGRESS, scan_uid=scan_uid, message=words))
+        return [line.text for line in list(log.lines)[count:]]
 
-    assert said("reading frame 7 from the scan file") == ["worker: reading frame 7 from the scan file"]
-    assert said("") == said("reading frame 9 from the scan file") == []
-    assert said("no calibration") == ["worker: no calibration"]
-    assert len(said("reading frame 2 from the scan file", "b")) == 1
+    assert logged("reading frame 7 from the scan file") == ["worker: reading frame 7 from the scan file"]
+    assert logged("") == logged("reading frame 9 from the scan file") == []
+    assert logged("no calibration") == ["worker: no calibration"]
+    assert len(logged("reading frame 2 from the scan file", "b")) == 1

@@ -11,9 +11,9 @@ import pytest
 from acquire.contract.errors import ScanFileError
 from process.crossings.maps import contrast_mask
 from tui.console.pictures.maps import (
+    MapKind,
     MapSet,
-    Quantity,
-    Window,
+    MapWindow,
     cell_of_cursor,
     cells_of,
     counts_of,
@@ -21,8 +21,8 @@ from tui.console.pictures.maps import (
     layers_of,
     mask_of,
     picture_size,
+    pixel_words,
     sample_at,
-    values_at,
     window_on,
 )
 from tui.console.pictures.maps_file import read_maps
@@ -66,17 +66,17 @@ def test_the_histogram_holds_every_sample():
 def test_layers_have_fixed_ranges_and_a_crossing_outside_the_mask_is_no_value():
     maps = some_maps()
     mask = mask_of(maps, 100)
-    layers = {layer.quantity: layer for layer in layers_of(maps, mask)}
-    assert (layers[Quantity.MAXIMUM].low, layers[Quantity.MAXIMUM].high) == (0.0, 255.0)
-    assert layers[Quantity.CROSSING].high == 99.0
-    assert np.isnan(layers[Quantity.CROSSING].values[~mask]).all()
+    layers = {layer.kind: layer for layer in layers_of(maps, mask)}
+    assert (layers[MapKind.MAXIMUM].low, layers[MapKind.MAXIMUM].high) == (0.0, 255.0)
+    assert layers[MapKind.CROSSING].high == 99.0
+    assert np.isnan(layers[MapKind.CROSSING].values[~mask]).all()
 
 
 def test_cells_are_means_of_what_they_cover_and_nan_only_where_nothing_is_known():
     values = np.arange(16, dtype=np.float32).reshape(4, 4)
     values[0, 0] = np.nan
     values[2:, 2:] = np.nan
-    found = cells_of(values, Window(4, 4), 2, 2)
+    found = cells_of(values, MapWindow(4, 4), 2, 2)
     assert found[0, 0] == pytest.approx((1 + 4 + 5) / 3)
     assert found[0, 1] == pytest.approx((2 + 3 + 6 + 7) / 4)
     assert np.isnan(found[1, 1])
@@ -93,7 +93,7 @@ def test_any_number_of_cells_can_be_drawn_of_any_window(size):
 
 
 def test_zooming_keeps_the_cursor_in_view_and_out_again_shows_everything():
-    window = Window(48, 64, row=47, column=0)
+    window = MapWindow(48, 64, row=47, column=0)
     for _ in range(10):
         window = window.zoomed(1)
         assert window.top <= window.row < window.top + window.height
@@ -104,7 +104,7 @@ def test_zooming_keeps_the_cursor_in_view_and_out_again_shows_everything():
 
 
 def test_the_cursor_stops_at_the_border_and_takes_the_window_with_it():
-    window = Window(48, 64).zoomed(1).zoomed(1).moved(500, 500)
+    window = MapWindow(48, 64).zoomed(1).zoomed(1).moved(500, 500)
     assert (window.row, window.column) == (47, 63)
     assert window.top + window.height == 48 and window.left + window.width == 64
     window = window.moved(-500, -500)
@@ -112,7 +112,7 @@ def test_the_cursor_stops_at_the_border_and_takes_the_window_with_it():
 
 
 def test_a_cell_that_is_pointed_at_is_the_cell_of_the_cursor():
-    window = Window(48, 64, row=5, column=5).zoomed(1)
+    window = MapWindow(48, 64, row=5, column=5).zoomed(1)
     for row, column in ((0, 0), (3, 9), (11, 15)):
         assert cell_of_cursor(sample_at(window, row, column, 12, 16), 12, 16) == (row, column)
 
@@ -120,10 +120,10 @@ def test_a_cell_that_is_pointed_at_is_the_cell_of_the_cursor():
 def test_the_values_under_the_cursor_are_those_of_the_pixel():
     maps = some_maps(step=2)
     mask = np.ones(maps.shape, bool)
-    found = values_at(maps, mask, Window(48, 64, row=3, column=4))
-    assert (found.x_px, found.y_px) == (8, 6)
-    assert (found.minimum, found.maximum) == (maps.minimum[3, 4], maps.maximum[3, 4])
-    assert values_at(maps, ~mask, Window(48, 64, row=3, column=4)).words().endswith("(under)  crossing none")
+    found = pixel_words(maps, mask, MapWindow(48, 64, row=3, column=4))
+    low, high = maps.minimum[3, 4], maps.maximum[3, 4]
+    assert found.startswith(f"x 8  y 6  min {low}  max {high}  contrast {high - low} (over)  crossing ")
+    assert pixel_words(maps, ~mask, MapWindow(48, 64, row=3, column=4)).endswith("(under)  crossing none")
 
 
 def test_pictures_keep_their_sides_ratio_within_the_place_that_they_have():

@@ -10,8 +10,8 @@ from textual.app import App
 
 from acquire.contract.messaging.messages import Picture
 from tui.console.link.rig_view import PictureView
-from tui.console.pictures.picture_rate import DEAF_S, STALLED_S, Governor
-from tui.console.pictures.raster import FULL, Detail, Raster, fit, reduce_to
+from tui.console.pictures.picture_rate import DEAF_S, STALLED_S, PictureRate
+from tui.console.pictures.raster import FULL, PictureDetail, Raster, half_cells_for, reduce_to
 from tui.console.widgets.picture import LivePicture
 
 
@@ -26,9 +26,9 @@ def view_of(pixels: np.ndarray, position_steps: int = 0) -> PictureView:
 
 
 def test_the_picture_keeps_its_shape_in_cells_that_are_twice_as_high_as_wide():
-    assert fit(768, 1024, 24, 80) == (48, 64)
-    assert fit(768, 1024, 40, 40) == (30, 40)
-    assert fit(768, 1024, 0, 40) == (0, 0)
+    assert half_cells_for(768, 1024, 24, 80) == (48, 64)
+    assert half_cells_for(768, 1024, 40, 40) == (30, 40)
+    assert half_cells_for(768, 1024, 0, 40) == (0, 0)
 
 
 def test_a_still_noisy_scene_repaints_nothing():
@@ -47,7 +47,7 @@ def test_a_change_repaints_only_its_rows():
     assert set(rows) <= set(range(9, 12)) and len(rows)
 
 
-def test_a_scene_that_came_to_rest_between_two_levels_is_mended_by_the_average():
+def test_a_scene_that_came_to_rest_between_two_levels_is_corrected_by_the_average():
     raster = Raster()
     raster.update(noisy(0, level=100), 40, 60, FULL, 0)
     for seed in range(1, 40):
@@ -69,7 +69,7 @@ def test_a_picture_finer_than_the_camera_repeats_its_pixels():
 
 def test_coarser_detail_uses_fewer_levels_in_blocks():
     raster = Raster()
-    raster.update(noisy(3, sigma=60), 40, 60, Detail(6, 4), 0)
+    raster.update(noisy(3, sigma=60), 40, 60, PictureDetail(6, 4), 0)
     assert raster.levels.max() <= 5
     assert (raster.levels[0:4, 0:4] == raster.levels[0, 0]).all()
 
@@ -112,81 +112,81 @@ def test_the_widget_shows_words_where_there_is_no_picture():
     asyncio.run(asyncio.wait_for(play(), 60))
 
 
-# ---- the governor ----
+# ---- the rate ----
 
 
 def test_the_next_picture_waits_until_the_terminal_has_answered():
-    governor = told(Governor())
-    governor.asked(0.0, 10_000)
-    assert not governor.may_send(5.0 / governor.wanted_hz, 0)
-    governor.answered(0.3)
-    assert governor.may_send(10.0, 0)
+    rate = told(PictureRate())
+    rate.asked(0.0, 10_000)
+    assert not rate.may_send(5.0 / rate.wanted_hz, 0)
+    rate.answered(0.3)
+    assert rate.may_send(10.0, 0)
 
 
 def test_no_picture_goes_while_our_own_queue_holds_something():
-    governor = told(Governor())
-    assert governor.may_send(0.0, 0) and not governor.may_send(0.0, 1)
+    rate = told(PictureRate())
+    assert rate.may_send(0.0, 0) and not rate.may_send(0.0, 1)
 
 
-def told(governor: Governor) -> Governor:
-    """A governor that knows the link's own delay, 20 ms."""
-    governor.asked(-1.0, 0, picture=False)
-    governor.answered(-0.98)
-    return governor
+def told(rate: PictureRate) -> PictureRate:
+    """A rate that knows the link's own delay, 20 ms."""
+    rate.asked(-1.0, 0, picture=False)
+    rate.answered(-0.98)
+    return rate
 
 
-def play_link(rate_bytes_per_s: float, seconds: float, round_trip_s: float = 0.02) -> tuple[Governor, list[float]]:
+def play_link(rate_bytes_per_s: float, seconds: float, round_trip_s: float = 0.02) -> tuple[PictureRate, list[float]]:
     """Pictures over a link that carries so much; how long each held it."""
-    governor, held = told(Governor()), []
+    rate, held = told(PictureRate()), []
     now_s = 0.0
     while now_s < seconds:
-        if governor.may_send(now_s, 0):
-            nbytes = 60_000 // governor.detail.block**2 * governor.detail.levels // 16
-            governor.asked(now_s, nbytes)
+        if rate.may_send(now_s, 0):
+            nbytes = 60_000 // rate.detail.block**2 * rate.detail.levels // 16
+            rate.asked(now_s, nbytes)
             held.append(nbytes / rate_bytes_per_s)
             now_s += round_trip_s + held[-1]
-            governor.answered(now_s)
+            rate.answered(now_s)
         now_s += 0.01
-    return governor, held
+    return rate, held
 
 
 def test_on_a_slow_link_pictures_become_coarser_until_none_holds_it_for_more_than_a_fifth_of_a_second():
-    governor, held = play_link(100_000, 20.0)
+    rate, held = play_link(100_000, 20.0)
     assert held[0] > 0.2 and all(seconds <= 0.2 for seconds in held[5:])
-    assert governor.rate_bytes_per_s == pytest.approx(100_000, rel=0.3)
-    assert "kB/s, picture" in governor.words(20.0)
+    assert rate.rate_bytes_per_s == pytest.approx(100_000, rel=0.3)
+    assert "kB/s, picture" in rate.words(20.0)
 
 
 def test_on_a_fast_link_pictures_come_as_often_as_wanted_and_in_full():
-    governor, held = play_link(20_000_000, 10.0)
-    assert governor.detail == FULL
-    assert len(held) == pytest.approx(10.0 * governor.wanted_hz, rel=0.15)
+    rate, held = play_link(20_000_000, 10.0)
+    assert rate.detail == FULL
+    assert len(held) == pytest.approx(10.0 * rate.wanted_hz, rel=0.15)
 
 
 def test_a_link_that_became_fast_again_gets_finer_pictures():
-    governor, _ = play_link(50_000, 10.0)
-    assert governor.detail != FULL
+    rate, _ = play_link(50_000, 10.0)
+    assert rate.detail != FULL
     now_s = 100.0
     for _ in range(60):
         now_s += 1.0
-        governor.asked(now_s, 5_000)
-        governor.answered(now_s + 0.02)
-    assert governor.detail == FULL
+        rate.asked(now_s, 5_000)
+        rate.answered(now_s + 0.02)
+    assert rate.detail == FULL
 
 
 def test_a_terminal_that_never_answers_gets_pictures_all_the_same():
-    governor = Governor()
-    assert governor.wants_bare(0.0)
-    governor.asked(0.0, 0, picture=False)
-    assert not governor.may_send(1.0, 0)
-    assert governor.may_send(DEAF_S + 0.1, 0) and governor.deaf
+    rate = PictureRate()
+    assert rate.wants_bare(0.0)
+    rate.asked(0.0, 0, picture=False)
+    assert not rate.may_send(1.0, 0)
+    assert rate.may_send(DEAF_S + 0.1, 0) and rate.deaf
 
 
 def test_a_terminal_that_stopped_answering_is_called_stalled_and_is_not_once_it_answers():
-    governor = Governor()
-    governor.asked(0.0, 1000)
-    governor.answered(0.01)
-    governor.asked(1.0, 1000)
-    assert governor.stalled(1.0 + STALLED_S + 0.1, 0.0)
-    governor.answered(3.0)
-    assert not governor.stalled(3.0, 0.0)
+    rate = PictureRate()
+    rate.asked(0.0, 1000)
+    rate.answered(0.01)
+    rate.asked(1.0, 1000)
+    assert rate.stalled(1.0 + STALLED_S + 0.1, 0.0)
+    rate.answered(3.0)
+    assert not rate.stalled(3.0, 0.0)

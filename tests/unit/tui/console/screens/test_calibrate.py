@@ -13,16 +13,15 @@ from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tests.fakes.scans.small_scans import make_scan
-from tests.unit.tui.console.stage import Stage, play
+from tests.unit.tui.console.stage import play
 from tui.console.calibration.board_watch import BoardWatch
-from tui.console.calibration.light_setup import BringLight
-from tui.console.calibration.rules import Situation, why_not
-from tui.console.calibration.session import BoardWords, CalibrationSession, parse_board
-from tui.console.calibration.texts import camera_verdict, plane_verdict
+from tui.console.calibration.light_setup import LightSetup
+from tui.console.calibration.results import camera_result, plane_result
+from tui.console.calibration.rules import CalibrationSituation, why_not
+from tui.console.calibration.session import BoardPattern, CalibrationSession, parse_board
 from tui.console.link.messages import CommandAnswered, PictureArrived, StatusArrived
 from tui.console.link.rig_view import PictureView
 from tui.console.screens import calibrate
-from tui.console.screens.calibrate import BoardSeen
 from tui.console.widgets.board_picture import BoardPicture
 from tui.console.widgets.calibrate_panes import GuidePane
 from tui.console.widgets.rows import RowList
@@ -56,15 +55,10 @@ def picture(level: int = 90) -> PictureArrived:
 
 def with_views(folder: Path, count: int) -> CalibrationSession:
     session = CalibrationSession(folder)
-    session.keep_board(BoardWords())
+    session.save_board(BoardPattern())
     for _ in range(count):
         session.next_view().write_bytes(b"png")
     return session
-
-
-async def seen(stage: Stage, facts: dict) -> None:
-    stage.screen.post_message(BoardSeen(facts))
-    await stage.pilot.pause()
 
 
 def test_the_child_that_looks_for_the_board_runs_while_the_screen_is_in_view(tmp_path):
@@ -106,7 +100,7 @@ def test_corners_are_marked_in_the_picture_and_the_advice_stands_beside_it(tmp_p
         stage.watch_jobs()
         await stage.connect(PREVIEW)
         await stage.hear(picture())
-        await seen(stage, FACTS)
+        await stage.report(FACTS)
         guide = stage.shown(GuidePane)
         for words in ("1. tilt it by 10 to 20", "2. move it: corner top left", "view-01 flat", "as in view-01"):
             assert words in guide
@@ -121,8 +115,8 @@ def test_enough_views_are_called_enough(tmp_path):
     async def script(stage):
         stage.watch_jobs()
         await stage.connect(PREVIEW)
-        await seen(stage, {**FACTS, "advice": [], "ready": True})
-        assert "there is enough: g calibrates" in stage.shown(GuidePane)
+        await stage.report({**FACTS, "advice": [], "ready": True})
+        assert "enough views: g calibrates" in stage.shown(GuidePane)
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -136,7 +130,7 @@ def test_a_capture_goes_into_the_session_under_the_next_number_and_its_fate_is_t
         await stage.press("c")
         name, args = stage.link.sent[-1]
         assert (name, args) == ("capture", {"path": str(session.folder / "view-03.png")})
-        request_id = next(iter(stage.app._answers))
+        request_id = f"request-{len(stage.link.sent)}"
         await stage.hear(CommandAnswered("capture", False, "a scan is running", 1, request_id=request_id))
         assert "view-03.png: a scan is running" in stage.log
 
@@ -162,7 +156,7 @@ def test_the_camera_is_calibrated_with_the_flat_view_and_the_result_says_passed_
     async def script(stage):
         stage.watch_jobs()
         await stage.connect(PREVIEW)
-        await seen(stage, FACTS)
+        await stage.report(FACTS)
         await stage.press("g")
         arguments = stage.started[-1][0]
         assert arguments[:2] == ["calibrate", "camera"] and arguments[2:5] == [str(path) for path in session.views]
@@ -186,13 +180,13 @@ def test_a_calibration_that_fails_says_the_routines_reason(tmp_path):
         await stage.press("g")
         await stage.end_job(None, exit_status=1, words="all views are parallel")
         assert "FAILED: all views are parallel" in stage.shown(GuidePane).replace("\n", " ")
-        assert stage.app.logbook.lines[-1].level == "error"
+        assert stage.app.state.log.lines[-1].level == "error"
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrate, "LOOK_S", 0.1)
+    monkeypatch.setattr(calibrate, "POLL_S", 0.1)
     session = with_views(tmp_path, 3)
     session.result.write_text('{"camera": {}}')
     for name in ("a", "b"):
@@ -226,7 +220,7 @@ def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch
 
 
 def test_a_sweep_that_cannot_pass_says_so_before_the_plane_is_fitted(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrate, "LOOK_S", 0.1)
+    monkeypatch.setattr(calibrate, "POLL_S", 0.1)
     folder = make_scan(tmp_path / "a", purpose="calibration")
     (folder / "report.json").write_text('{"counts": {"over_contrast": 200, "quality_saturated": 178}}')
 
@@ -274,48 +268,47 @@ def test_for_a_view_the_exposure_is_searched_where_the_stage_is(tmp_path):
 
 
 def test_a_light_that_was_stopped_on_its_way_searches_no_exposure():
-    light, far = BringLight(), msgspec.structs.replace(IDLE, lamp_on=True)
+    light, far = LightSetup(), msgspec.structs.replace(IDLE, lamp_on=True)
     moving = msgspec.structs.replace(far, state=State.MOVING, position_steps=500)
     there = msgspec.structs.replace(far, position_steps=1578)
     assert light.begin(1578, far, 0.0) == [("goto", {"position_steps": 1578})]
-    assert light.heard(far, 0.1, stopped=False) == [], "the move has not begun"
-    assert light.heard(moving, 0.2, stopped=False) == []
-    assert light.heard(msgspec.structs.replace(far, position_steps=600), 0.3, stopped=False) == []
-    assert light.heard(there, 0.4, stopped=False) == [], "somebody else moved it there"
+    assert light.take_status(far, 0.1, stopped=False) == [], "the move has not begun"
+    assert light.take_status(moving, 0.2, stopped=False) == []
+    assert light.take_status(msgspec.structs.replace(far, position_steps=600), 0.3, stopped=False) == []
+    assert light.take_status(there, 0.4, stopped=False) == [], "somebody else moved it there"
     light.begin(1578, far, 1.0)
-    assert light.heard(moving, 1.1, stopped=True) == [] == light.heard(there, 1.2, stopped=False)
+    assert light.take_status(moving, 1.1, stopped=True) == [] == light.take_status(there, 1.2, stopped=False)
     light.begin(1578, far, 2.0)
-    assert light.heard(far, 1000.0, stopped=False) == [] == light.heard(there, 1000.1, stopped=False)
+    assert light.take_status(far, 1000.0, stopped=False) == [] == light.take_status(there, 1000.1, stopped=False)
     light.begin(1578, far, 3.0)
-    assert light.heard(there, 1000.0, stopped=False) == [], "it is there long after anybody waited"
+    assert light.take_status(there, 1000.0, stopped=False) == [], "it is there long after anybody waited"
 
 
 def test_a_light_on_its_way_searches_no_exposure_once_the_screen_was_left(tmp_path):
     async def script(stage):
         stage.watch_jobs()
         await stage.connect(msgspec.structs.replace(IDLE, lamp_on=True))
-        screen = stage.app.screen
-        screen._light.begin(1578, IDLE, stage.app.now_s())
-        screen.on_screen_suspend()
-        there = msgspec.structs.replace(IDLE, lamp_on=True, position_steps=1578)
-        await stage.connect(there)
-        assert stage.sent == []
+        await stage.press("m", "e")
+        assert stage.sent == [("goto", {"position_steps": 1578})]
+        await stage.press("6", "3")
+        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, lamp_on=True, position_steps=1578)))
+        assert [name for name, _ in stage.sent] == ["goto"]
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_a_child_that_cannot_be_started_is_not_tried_again_at_once():
-    class Desk:
+    class NoJobs:
         tried = 0
 
         def start(self, *_args, **_more):
             self.tried += 1
 
-    desk = Desk()
-    watch = BoardWatch(lambda: desk, lambda facts: None)
+    jobs = NoJobs()
+    watch = BoardWatch(jobs, lambda: None)
     for _ in range(3):
         watch.follow(["watch"], wanted=True)
-    assert desk.tried == 1
+    assert jobs.tried == 1
 
 
 def test_the_simulated_board_takes_one_pose_after_the_other_and_real_rigs_have_no_such_key(tmp_path):
@@ -327,14 +320,14 @@ def test_the_simulated_board_takes_one_pose_after_the_other_and_real_rigs_have_n
         assert poses[0]["tilt_x_deg"] == poses[0]["tilt_y_deg"] == 0.0 and poses[1] != poses[0]
         await stage.connect(msgspec.structs.replace(IDLE, camera_kind="genicam"))
         await stage.press("P")
-        assert "only the simulated rig" in stage.log
+        assert "only on the simulated rig" in stage.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_a_session_is_resumed_and_a_new_one_leaves_it_as_it_was(tmp_path):
     first = with_views(tmp_path, 2)
-    first.keep_board(BoardWords(columns=20, rows=10, square_mm=0.5))
+    first.save_board(BoardPattern(columns=20, rows=10, square_mm=0.5))
     again = CalibrationSession(tmp_path)
     assert (again.folder, again.board.columns, len(again.views)) == (first.folder, 20, 2)
     again.begin_anew()
@@ -350,20 +343,20 @@ def test_boards_are_read_as_people_write_them_and_nonsense_is_refused():
 
 
 def test_verdicts_name_the_limit_that_was_missed():
-    bad = camera_verdict({"quality": {**QUALITY, "rms_px": 0.9, "coverage": 0.2}}, {})
-    assert not bad.passed and "0.9000 px" in bad.headline and any("cover 20 %" in line for line in bad.lines)
-    assert not camera_verdict({}, {}).passed
+    bad = camera_result({"quality": {**QUALITY, "rms_px": 0.9, "coverage": 0.2}}, {})
+    assert not bad.passed and "0.9000 px" in bad.headline and any("cover only 20 %" in line for line in bad.lines)
+    assert not camera_result({}, {}).passed
     before = {"K": [[5000.0]], "T": [0, 0, 70.0]}
-    assert any("focal length +16.00 %" in line for line in camera_verdict(CAMERA, before).lines)
-    assert plane_verdict({"quality": {"surfaces": [{"name": "a", "ok": True}], "normal_sd_deg": 0.001}}).passed
+    assert any("focal length +16.00 %" in line for line in camera_result(CAMERA, before).lines)
+    assert plane_result({"quality": {"surfaces": [{"name": "a", "ok": True}], "normal_sd_deg": 0.001}}).passed
 
 
 def test_rules_say_the_first_thing_that_hinders():
-    free = Situation(False, False, True, 3, 0, 0, False, False, False)
-    assert why_not("fit", free) == "" and why_not("cancel", free) == "nothing runs"
-    assert why_not("fit", replace(free, views=2)).startswith("it takes at least three")
+    free = CalibrationSituation(False, False, True, 3, 0, 0, False, False, False)
+    assert why_not("fit", free) == "" and why_not("cancel", free) == "nothing is running"
+    assert why_not("fit", replace(free, views=2)).startswith("at least three")
     assert why_not("anew", free) == ""
     for action in ("fit", "anew"):
-        assert why_not(action, replace(free, works=True)) == "a calibration runs: x cancels"
-    assert why_not("capture", replace(free, sweep_runs=True)) == "a sweep runs"
+        assert why_not(action, replace(free, working=True)) == "a calibration is running: x cancels"
+    assert why_not("capture", replace(free, sweep_runs=True)) == "a sweep is running"
     assert why_not("fit", replace(free, plane_step=True)) == "calibrate the camera first: m goes there"

@@ -9,9 +9,10 @@ from tests.fakes.fake_daemon import IDLE
 from tests.unit.tui.console.stage import play
 from tui.console.link.messages import StatusArrived
 from tui.console.screens.faults import FaultDetail
-from tui.console.screens.log import LogView, filtered
-from tui.console.state.fault_log import FaultBook
-from tui.console.state.logbook import LogLine
+from tui.console.screens.log import filtered
+from tui.console.state.fault_log import FaultLog
+from tui.console.state.session_log import LogLine
+from tui.console.widgets.log_pane import LogPane
 from tui.console.widgets.rows import RowList
 
 WRITER = report("F03", 10**9, committed=410, expected=527)
@@ -46,7 +47,7 @@ def test_an_acknowledged_fault_and_one_that_the_daemon_forgot_stay_on_the_list()
         assert "acknowledged" in stage.shown(FaultDetail) and "NOT" not in stage.shown(FaultDetail)
         await stage.hear(StatusArrived(having()))
         assert "the writer is lost" in stage.shown(RowList)
-        assert "the daemon no longer tells of it" in stage.shown(FaultDetail)
+        assert "the daemon no longer reports it" in stage.shown(FaultDetail)
 
     play(script, screen="faults")
 
@@ -65,7 +66,7 @@ def test_all_are_acknowledged_with_one_key_and_without_any_it_says_so():
     async def script(stage):
         await stage.connect(having())
         await stage.press("A")
-        assert stage.link.sent == [] and "every fault is acknowledged" in stage.log
+        assert stage.sent == [] and "every fault is acknowledged" in stage.log
         await stage.hear(StatusArrived(having(WRITER, NOISE)))
         await stage.press("A")
         assert stage.link.sent == [("acknowledge", {"code": ""})]
@@ -84,12 +85,12 @@ def test_faults_are_copied_as_text():
     play(script, screen="faults")
 
 
-def test_the_book_of_faults_is_bounded_and_newest_first():
-    book = FaultBook(wall_time=str)
+def test_the_log_of_faults_is_bounded_and_newest_first():
+    log = FaultLog(wall_time=str)
     for number in range(600):
-        book.take([report("F11", number, detail=str(number))])
-    assert len(book.faults) == 500 and book.faults[0].report.at_mono_ns == 599
-    assert not book.faults[1].still_told
+        log.take([report("F11", number, detail=str(number))])
+    assert len(log.faults) == 500 and log.faults[0].report.at_mono_ns == 599
+    assert not log.faults[1].current
 
 
 def test_lines_are_filtered_by_level_and_by_all_words():
@@ -105,13 +106,13 @@ def test_the_log_is_filtered_from_the_keyboard_and_shown_whole_again():
         await stage.connect()
         stage.app.say("the lamp is dim", "warning")
         await stage.press("l")
-        assert "the lamp is dim" in stage.shown(LogView) and "connected to" not in stage.shown(LogView)
+        assert "the lamp is dim" in stage.shown(LogPane) and "connected to" not in stage.shown(LogPane)
         await stage.press("l", "l", "slash", *"dim", "enter")
-        assert stage.shown(LogView).count("\n") == 0 and "with 'dim'" in str(
-            stage.screen.query_one(LogView).border_title
+        assert stage.shown(LogPane).count("\n") == 0 and "with 'dim'" in str(
+            stage.screen.query_one(LogPane).border_title
         )
         await stage.press("escape")
-        assert "connected to" in stage.shown(LogView)
+        assert "connected to" in stage.shown(LogPane)
 
     play(script, screen="log")
 
@@ -121,14 +122,14 @@ def test_a_log_that_was_scrolled_back_stands_still_until_it_is_told_to_follow():
         for number in range(100):
             stage.app.say(f"line number {number}")
         await stage.pilot.pause()
-        assert "line number 99" in stage.shown(LogView)
+        assert "line number 99" in stage.shown(LogPane)
         await stage.press("pageup")
-        shown = stage.shown(LogView)
+        shown = stage.shown(LogPane)
         stage.app.say("one more")
         await stage.pilot.pause()
-        assert stage.shown(LogView) == shown and "stands still" in str(stage.screen.query_one(LogView).border_title)
+        assert stage.shown(LogPane) == shown and "scrolled back" in str(stage.screen.query_one(LogPane).border_title)
         await stage.press("end")
-        assert "one more" in stage.shown(LogView)
+        assert "one more" in stage.shown(LogPane)
 
     play(script, screen="log")
 

@@ -13,8 +13,9 @@ from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from tests.fakes.scans.small_scans import make_scan
 from tests.fakes.scans.some_maps import write_maps
 from tests.unit.tui.console.stage import Stage, play
+from tui.console import jobs
 from tui.console.screens import dialogs, scans
-from tui.console.screens.dialogs import Confirm, Form
+from tui.console.screens.dialogs import Confirm, FormDialog
 from tui.console.screens.reconstruct import ReconstructScreen
 from tui.console.widgets.rows import RowList
 from tui.console.widgets.scan_rows import ScanDetail
@@ -23,7 +24,7 @@ from tui.console.widgets.scan_rows import ScanDetail
 @pytest.fixture(autouse=True)
 def quick(request, monkeypatch):
     """Answers count at once, but where that is the test; the folder is looked at often."""
-    monkeypatch.setattr(scans, "LOOK_S", 0.1)
+    monkeypatch.setattr(scans, "POLL_S", 0.1)
     monkeypatch.setattr(dialogs, "TYPE_AHEAD_S", 1000.0 if "type_ahead" in request.node.name else 0.0)
 
 
@@ -93,7 +94,7 @@ def test_a_scan_that_is_not_sound_is_an_error_in_words(folder):
         await listed(stage, "saved")
         await stage.press("v")
         await stage.end_job({"ok": False, "problems": ["frames whose pixels changed: 1"]}, exit_status=1)
-        assert stage.app.logbook.lines[-1].level == "error"
+        assert stage.app.state.log.lines[-1].level == "error"
         assert "frames whose pixels changed: 1" in stage.shown(ScanDetail)
 
     play(script, screen="scans", data_dir=folder)
@@ -124,7 +125,7 @@ def test_a_running_scan_is_never_touched(folder):
         stage.watch_jobs()
         await listed(stage, "running")
         await stage.press("end", *"vmncdRS")
-        assert stage.started == [] and not isinstance(stage.app.screen, Form | Confirm)
+        assert stage.started == [] and not isinstance(stage.app.screen, FormDialog | Confirm)
         assert stage.log.count("a sweep runs into this scan") >= 6
 
     try:
@@ -225,25 +226,25 @@ def test_a_read_only_console_looks_but_changes_no_scan(folder):
         stage.watch_jobs()
         await listed(stage, "saved")
         await stage.press(*"mndRS")
-        assert stage.started == [] and not isinstance(stage.app.screen, Form | Confirm)
+        assert stage.started == [] and not isinstance(stage.app.screen, FormDialog | Confirm)
         await stage.press("v")
         assert stage.started[0][0][0] == "verify"
 
     play(script, screen="scans", data_dir=folder, read_only=True)
 
 
-def test_leaving_while_work_runs_is_asked_about_and_ends_it(folder):
+def test_leaving_while_work_runs_is_asked_about_and_ends_it(folder, monkeypatch):
+    monkeypatch.setattr(jobs, "PROGRAM", [sys.executable, "-S", "-c", "import time; time.sleep(60)"])
+    apps = []
+
     async def script(stage):
-        board = stage.app.jobs.board
-        board._program = [sys.executable, "-S", "-c", "import time; time.sleep(60)"]
+        apps.append(stage.app)
         await listed(stage, "saved")
         await stage.press("v", "q")
         assert isinstance(stage.app.screen, Confirm) and "verify saved" in stage.painted
         await stage.press("n")
-        assert board.running_on(str(folder / "saved"))
+        assert stage.app.jobs.running_on(str(folder / "saved"))
         await stage.press("q", "y")
-        boards.append(board)
 
-    boards: list = []
     play(script, screen="scans", data_dir=folder)
-    assert not any(job.running for job in boards[0].jobs)
+    assert apps[0].jobs.running == []

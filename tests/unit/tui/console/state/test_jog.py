@@ -9,13 +9,13 @@ from acquire.contract.errors import ConfigError
 from acquire.contract.messaging.messages import Proposal
 from acquire.contract.states import HoldReason, State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
-from tui.console.keys.keymap import load_keymap
+from tui.console.keys import load_keymap
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import JogGate, clip, next_size
-from tui.console.state.scan_draft import Draft
+from tui.console.state.scan_draft import ScanDraft
 from tui.console.state.scan_forms import parse_plan, parse_position, parse_words
 from tui.console.state.scan_rules import why_not
-from tui.console.state.stop_state import StopWatch
+from tui.console.state.stop_state import StopState
 
 TRAVEL = (0, 4500)
 
@@ -35,10 +35,10 @@ def test_repeats_while_a_move_is_in_flight_leave_at_most_one_waiting():
     for number in range(30):
         assert gate.press(3, 0.01 * number) == 0
     gate.answered(ok=True, at_ns=100)
-    assert gate.heard(moving=True, said_ns=150, now_s=0.4) == 0
-    assert gate.heard(moving=False, said_ns=200, now_s=0.5) == 3
+    assert gate.take_status(moving=True, sent_ns=150, now_s=0.4) == 0
+    assert gate.take_status(moving=False, sent_ns=200, now_s=0.5) == 3
     gate.answered(ok=True, at_ns=300)
-    assert gate.heard(moving=False, said_ns=400, now_s=0.9) == 0
+    assert gate.take_status(moving=False, sent_ns=400, now_s=0.9) == 0
 
 
 def test_a_state_that_was_said_before_the_move_was_taken_does_not_end_it():
@@ -46,7 +46,7 @@ def test_a_state_that_was_said_before_the_move_was_taken_does_not_end_it():
     gate.press(3, 0.0)
     gate.press(3, 0.1)
     gate.answered(ok=True, at_ns=100)
-    assert gate.heard(moving=False, said_ns=99, now_s=0.2) == 0
+    assert gate.take_status(moving=False, sent_ns=99, now_s=0.2) == 0
 
 
 def test_a_refused_move_and_a_stop_leave_nothing_waiting():
@@ -54,12 +54,12 @@ def test_a_refused_move_and_a_stop_leave_nothing_waiting():
     gate.press(3, 0.0)
     gate.press(3, 0.1)
     gate.answered(ok=False, at_ns=100)
-    assert gate.heard(moving=False, said_ns=200, now_s=0.3) == 0
+    assert gate.take_status(moving=False, sent_ns=200, now_s=0.3) == 0
     assert gate.press(3, 0.4) == 3
     gate.press(3, 0.5)
     gate.forget()
     gate.answered(ok=True, at_ns=500)
-    assert gate.heard(moving=False, said_ns=600, now_s=0.9) == 0
+    assert gate.take_status(moving=False, sent_ns=600, now_s=0.9) == 0
 
 
 def test_a_move_whose_end_was_never_heard_of_does_not_block_for_ever():
@@ -96,19 +96,19 @@ def test_the_fine_step_goes_through_its_sizes_and_stays_at_the_ends():
 
 
 def test_stop_is_sent_once_whether_the_key_or_its_answer_is_heard_first():
-    watch = StopWatch()
+    watch = StopState()
     watch.sent_early()
     assert not watch.pressed()
     watch.answered(ok=True, at_mono_ns=10)
-    assert watch.judge(replace(IDLE, sent_mono_ns=11)).startswith("stopped at")
+    assert watch.take_status(replace(IDLE, sent_mono_ns=11)).startswith("stopped at")
     watch.sent_early()
     watch.answered(ok=True, at_mono_ns=20)
     assert not watch.pressed() and watch.words == "STOP sent"
-    assert watch.judge(replace(IDLE, sent_mono_ns=21)).startswith("stopped at") and not watch.words
+    assert watch.take_status(replace(IDLE, sent_mono_ns=21)).startswith("stopped at") and not watch.words
 
 
 def test_a_stop_without_the_early_thread_is_sent_by_the_loop():
-    assert StopWatch().pressed()
+    assert StopState().pressed()
 
 
 # ---- what people type ----
@@ -129,7 +129,7 @@ PLAN = {"first": "10", "last": "400", "steps": "5", "settle": "2.5", "mode": "fl
 
 
 def test_a_plan_is_read():
-    plan = parse_plan(PLAN, Draft(), TRAVEL)
+    plan = parse_plan(PLAN, ScanDraft(), TRAVEL)
     assert plan.plan_args() == {
         "first_steps": 10, "last_steps": 400, "steps_per_frame": 5, "mode": "fly", "settle_ms": 2.5
     }  # fmt: skip
@@ -147,29 +147,31 @@ def test_a_plan_is_read():
 )
 def test_a_plan_that_cannot_be_is_refused_by_name(wrong, words):
     with pytest.raises(ValueError, match=words):
-        parse_plan(PLAN | wrong, Draft(), TRAVEL)
+        parse_plan(PLAN | wrong, ScanDraft(), TRAVEL)
 
 
 def test_words_about_a_scan_reach_its_arguments_and_empty_ones_do_not():
     typed = {"name": "ear-2", "specimen": "left ear", "operator": "", "notes": "dry", "tags": "a, b c"}
-    args = parse_words(typed, Draft()).scan_args()
+    args = parse_words(typed, ScanDraft()).scan_args()
     assert args["specimen"] == "left ear" and args["tags"] == ["a", "b", "c"] and "operator" not in args
-    with pytest.raises(ValueError, match="no name"):
-        parse_words(typed | {"name": "../x"}, Draft())
+    with pytest.raises(ValueError, match="not a name"):
+        parse_words(typed | {"name": "../x"}, ScanDraft())
 
 
 def test_a_proposal_is_taken_over_into_the_plan():
     found = Proposal(
         first_steps=120, last_steps=900, exposure_ms=20, frames=261, seconds=20, nbytes=1, free_bytes=2
     )  # fmt: skip
-    assert Draft().with_proposal(found).plan_args()["first_steps"] == 120
+    assert ScanDraft().with_proposal(found).plan_args()["first_steps"] == 120
 
 
 def test_an_answer_without_numbers_leaves_the_estimate_unknown_and_a_refusal_is_kept():
     assert not Estimate.of_answer(ok=True, detail="", result={}).known
     assert Estimate.of_answer(ok=False, detail="the disk is full", result={}).refused == "the disk is full"
     full = {"expected": 5, "seconds": 3.0, "bytes": 10, "free_bytes": 20, "warnings": ["w"]}
-    assert Estimate.of_answer(ok=True, detail="", result=full).words(Draft()) == "5 frames  0:00:03  10 B of 20 B free"
+    assert (
+        Estimate.of_answer(ok=True, detail="", result=full).words(ScanDraft()) == "5 frames  0:00:03  10 B of 20 B free"
+    )
 
 
 # ---- when ----
@@ -188,7 +190,7 @@ def test_an_answer_without_numbers_leaves_the_estimate_unknown_and_a_refusal_is_
         ("resume", replace(SWEEPING, state=State.HOLDING, hold_reason=HoldReason.NO_CREDIT), "by itself"),
         ("home", replace(IDLE, state=State.PREVIEW, activity="prescan"), "prescan is running"),
         ("use_proposal", IDLE, "no proposal"),
-        ("pause", None, "nothing is known"),
+        ("pause", None, "not known"),
         ("size", None, ""),
     ],
 )
@@ -202,9 +204,9 @@ def test_each_action_says_why_it_cannot_be_done_now(action, status, words):
 
 def test_the_operators_keys_are_read_and_no_file_means_none(tmp_path):
     path = tmp_path / "keys.toml"
-    assert load_keymap(path, {"scan.start"}) == {}
+    assert load_keymap(path, lambda: {"scan.start"}) == {}
     path.write_text('"scan.start" = "S"\n')
-    assert load_keymap(path, {"scan.start"}) == {"scan.start": "S"}
+    assert load_keymap(path, lambda: {"scan.start"}) == {"scan.start": "S"}
 
 
 @pytest.mark.parametrize(
@@ -219,4 +221,4 @@ def test_keys_that_cannot_be_are_refused_by_name(tmp_path, text, words):
     path = tmp_path / "keys.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=words):
-        load_keymap(path, {"scan.start", "scan.stop"})
+        load_keymap(path, lambda: {"scan.start", "scan.stop"})

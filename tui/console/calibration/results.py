@@ -1,24 +1,24 @@
-"""What a calibration is worth, in words: passed or failed with the reason, residuals view by view; pure."""
+"""The result of a calibration in words: passed or failed with the reason, residuals of each view; pure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-from tui.processes.child_jobs import Job
+from tui.console.jobs import Job
 from tui.scans.folder import ScanEntry
 
-MOST_RMS_PX = 0.3
-"""Reprojection error beyond which corners were not found where they are."""
-LEAST_COVERAGE = 0.4
+MAX_RMS_PX = 0.3
+"""Limit of the reprojection error: beyond it, corners were not located correctly."""
+MIN_COVERAGE = 0.4
 """Share of the field that the corners must span."""
-MOST_SATURATED = 0.3
+MAX_SATURATED = 0.3
 """Share of a sweep's lit pixels beyond which the light plane is not calibrated with it."""
 BAR_CELLS = 12
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CalibrationResult:
     """The result of one step."""
 
     passed: bool
@@ -29,43 +29,43 @@ class Verdict:
 
 
 def sweep_words(entry: ScanEntry) -> str:
-    """How a sweep over the board ended, and why it will not do, where its worker has said so."""
+    """How a sweep over the board ended, and that it is saturated, where its report says so."""
     share = entry.saturated_share
-    if share is None or share <= MOST_SATURATED:
+    if share is None or share <= MAX_SATURATED:
         return entry.outcome_words
     return f"{entry.outcome_words}, {100 * share:.0f} % SATURATED: e, then sweep again"
 
 
-def verdict_of(job: Job, before: dict[str, Any], *, plane: bool) -> Verdict:
-    """What a calibration that has ended came to; ``before`` is the ``camera`` of the calibration before."""
+def result_of(job: Job, before: dict[str, Any], *, plane: bool) -> CalibrationResult:
+    """The result of a calibration that has ended; ``before`` is the ``camera`` of the calibration before."""
     if not job.ok or job.result is None:
-        return Verdict(False, f"FAILED: {job.words or 'no result'}", ())
+        return CalibrationResult(False, f"FAILED: {job.words or 'no result'}", ())
     found = job.result.get("light_plane" if plane else "camera") or {}
-    verdict = plane_verdict(found) if plane else camera_verdict(found, before)
+    result = plane_result(found) if plane else camera_result(found, before)
     out = str(job.result.get("out") or "")
     use = f"to use it: reconstruct.calibration = '{out}' in rig.toml" if plane else "next: m goes to the light plane"
-    return Verdict(verdict.passed, verdict.headline, (use, *verdict.lines))
+    return CalibrationResult(result.passed, result.headline, (use, *result.lines))
 
 
-def camera_verdict(camera: dict[str, Any], before: dict[str, Any]) -> Verdict:
+def camera_result(camera: dict[str, Any], before: dict[str, Any]) -> CalibrationResult:
     """The ``camera`` object of calibration.json, compared with the ``before`` one (empty: none)."""
     quality = camera.get("quality") or {}
     rms, coverage = _number(quality.get("rms_px")), _number(quality.get("coverage"))
     views = [view for view in quality.get("views") or [] if isinstance(view, dict)]
     used = sum(bool(view.get("used")) for view in views)
     reasons = []
-    if rms is None or rms > MOST_RMS_PX:
-        reasons.append(f"corners miss by {_px(rms)}, {MOST_RMS_PX:g} px are the limit: sharper pictures, a flat board")
-    if coverage is not None and coverage < LEAST_COVERAGE:
-        reasons.append(f"the views cover {100 * coverage:.0f} % of the field only: move the board about")
+    if rms is None or rms > MAX_RMS_PX:
+        reasons.append(f"corners are off by {_px(rms)}, the limit is {MAX_RMS_PX:g} px: sharper pictures, a flat board")
+    if coverage is not None and coverage < MIN_COVERAGE:
+        reasons.append(f"the views cover only {100 * coverage:.0f} % of the field: move the board about")
     headline = f"reprojection error {_px(rms)} RMS, {used} of {len(views)} views used"
     lines = [_view_line(view, max((_number(v.get("rms_px")) or 0.0 for v in views), default=1.0)) for view in views]
     lines += [f"note: {note}" for note in quality.get("notes") or []]
     lines += _compared(camera, before)
-    return _verdict(reasons, headline, lines)
+    return _result(reasons, headline, lines)
 
 
-def plane_verdict(plane: dict[str, Any]) -> Verdict:
+def plane_result(plane: dict[str, Any]) -> CalibrationResult:
     """The ``light_plane`` object of calibration.json."""
     quality = plane.get("quality") or {}
     surfaces = [surface for surface in quality.get("surfaces") or [] if isinstance(surface, dict)]
@@ -78,13 +78,13 @@ def plane_verdict(plane: dict[str, Any]) -> Verdict:
     lines += [f"note: {note}" for note in quality.get("notes") or []]
     sd = _number(quality.get("normal_sd_deg"))
     normal = "" if sd is None else f", normal known to {sd:.4f} degrees"
-    return _verdict(reasons, f"{len(surfaces)} surfaces{normal}", lines)
+    return _result(reasons, f"{len(surfaces)} surfaces{normal}", lines)
 
 
-def _verdict(reasons: list[str], headline: str, lines: list[str]) -> Verdict:
+def _result(reasons: list[str], headline: str, lines: list[str]) -> CalibrationResult:
     if reasons:
-        return Verdict(False, f"FAILED: {reasons[0]}", (*reasons[1:], headline, *lines))
-    return Verdict(True, f"PASSED: {headline}", tuple(lines))
+        return CalibrationResult(False, f"FAILED: {reasons[0]}", (*reasons[1:], headline, *lines))
+    return CalibrationResult(True, f"PASSED: {headline}", tuple(lines))
 
 
 def _view_line(view: dict[str, Any], worst: float) -> str:

@@ -5,26 +5,32 @@ from __future__ import annotations
 import difflib
 import os
 import tomllib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from acquire.contract.errors import ConfigError
+from tui.console.screen_table import SCREENS
 
-RESERVED = frozenset({"space", "1", "2", "3", "4", "5", "6", "question_mark", "?", "ctrl+p", ":", "colon"})
-"""Keys that mean the same everywhere, STOP before all."""
+STOP_KEY = "space"
+RESERVED = frozenset({STOP_KEY, "question_mark", "?", "ctrl+p", ":", "colon"}) | {
+    str(number) for number in range(1, len(SCREENS) + 1)
+}
+"""Keys that mean the same everywhere."""
 
 
 def keymap_path(environ: Mapping[str, str] = os.environ) -> Path:
-    """Where the operator's keys are looked for."""
+    """Where the operator's keys are read from."""
     home = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
     return Path(home) / "sweepscope" / "keys.toml"
 
 
-def load_keymap(path: Path, known: Collection[str]) -> dict[str, str]:
-    """Action -> keys (several with commas); empty when there is no such file.
+def load_keymap(path: Path, known_actions: Callable[[], Collection[str]]) -> dict[str, str]:
+    """Binding id -> keys (several with commas), as ``App.set_keymap`` takes it; empty without a file.
+
+    ``known_actions``: asked for all binding ids once there is a file.
 
     Raises:
-        ConfigError: unreadable, an action that is not ``known`` (with the nearest one), or a key that is not free.
+        ConfigError: unreadable, an id that is not known (with the nearest one), or a reserved key.
     """
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -32,6 +38,7 @@ def load_keymap(path: Path, known: Collection[str]) -> dict[str, str]:
         return {}
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"cannot read the keys in {path}: {error}") from None
+    known = known_actions()
     for action, keys in values.items():
         if action not in known:
             near = difflib.get_close_matches(action, known, n=1, cutoff=0.0)

@@ -1,1 +1,0 @@
-"""Keys of the console: which key does what, and what a key is called."""

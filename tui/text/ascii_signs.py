@@ -1,0 +1,22 @@
+"""The console's signs in plain ASCII, for ``--ascii``: one character for each, so that no width changes; pure."""
+
+from __future__ import annotations
+
+from rich.text import Text
+
+from acquire.contract.states import SIGNS
+
+ASCII_SIGNS = str.maketrans(
+    {
+        **dict(zip("▁▂▃▄▅▆▇█░▒▓", "_.-~=+*#.+*", strict=True)),  # bars and shades
+        **{sign.glyph: sign.ascii_glyph for sign in SIGNS.values()},
+        **dict(zip("✓◐·▸─│…↑↓←→", "v~.>-|.^v<>", strict=True)),
+    }
+)
+
+
+def to_ascii(text: Text) -> Text:
+    """``text`` with our signs replaced; what the operator typed stays as it is."""
+    found = text.copy()
+    found.plain = text.plain.translate(ASCII_SIGNS)
+    return found
