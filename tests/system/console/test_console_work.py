@@ -15,7 +15,7 @@ from tests.fakes.scans.small_scans import make_scan
 from tests.system.appliance import Appliance
 from tests.system.console.test_cli_tmux import CONSOLE, Terminal, terminal
 from tests.unit.rig_in_process import RigInProcess
-from tui.console.calibration.session import BoardWords, CalibrationSession
+from tui.console.calibration.session import BoardPattern, CalibrationSession
 
 __all__ = ["terminal"]
 
@@ -50,7 +50,7 @@ def tilted_view(tilt_y_deg: float) -> np.ndarray:
 
 def test_a_camera_is_calibrated_with_a_view_that_is_captured_from_the_terminal(terminal, run_dir, tmp_path):
     session = CalibrationSession(tmp_path)
-    session.keep_board(BoardWords())
+    session.save_board(BoardPattern())
     for tilt_y_deg in (-12.0, 12.0):  # two are there from before: a session can be resumed
         write_png(session.next_view(), tilted_view(tilt_y_deg), "mono")
     settings = {"camera.width": 256, "camera.height": 192, "simulation.colour": False}
@@ -69,7 +69,7 @@ def test_a_camera_is_calibrated_with_a_view_that_is_captured_from_the_terminal(t
         terminal.wait_for("px RMS, 3 of 3 views used")
         terminal.press("q")
         terminal.wait_for("STATUS=0")
-    assert session.document()["camera"]["width"] == 256
+    assert json.loads(session.result.read_text())["camera"]["width"] == 256
 
 
 BOARD = {"CAMERA__WIDTH": 384, "CAMERA__HEIGHT": 288, "SIMULATION__COLOUR": "false", "SWEEP__STEPS_PER_FRAME": 9,
@@ -82,7 +82,7 @@ def with_known_camera(data_dir) -> dict:
     scene = build_scene(SimulationConfig(), width=384, height=288, um_per_microstep=3.175)
     exact = ideal_calibration(scene, first_steps=0, steps_per_frame=9, count=176)
     session = CalibrationSession(data_dir)
-    session.keep_board(BoardWords(columns=20, rows=15))
+    session.save_board(BoardPattern(columns=20, rows=15))
     session.result.write_text(json.dumps({name: exact[name] for name in ("format", "version", "camera")}))
     return exact
 
