@@ -1,4 +1,4 @@
-"""What one activity (an exposure search, a pre-scan, a held jog) looks like to the runner."""
+"""What one activity (an exposure search, a pre-scan, a held jog) must do for the runner."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Activity:
         """How it ended; empty while it runs."""
         self.failed = False
 
-    def end(self, words: str, *, failed: bool = False) -> None:
+    def end(self, text: str, *, failed: bool = False) -> None:
         """It is over."""
-        self.ended, self.failed = words, failed
+        self.ended, self.failed = text, failed
 
     def begin(self, now_ns: int) -> None:
         """Start."""

@@ -6,7 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
+import msgspec
+
 from acquire.cameras.protocol import CameraFrame
+from acquire.rigs.base import Rig
 
 from .base import Activity
 from .images import measure
@@ -76,31 +79,22 @@ class ExposureSearch(Activity):
     name: ClassVar[str] = "exposure"
     snaps: ClassVar[bool] = True
 
-    def __init__(
-        self,
-        *,
-        snap: Callable[[int], None],
-        expose: Callable[[float], float],
-        exposure_ms: float,
-        black: float,
-        bit_depth: int,
-        bounds_ms: tuple[float, float],
-    ) -> None:
-        """``expose`` sets an exposure in ms and returns the one that the camera really uses."""
+    def __init__(self, rig: Rig, snap: Callable[[int], None], bounds_ms: tuple[float, float]) -> None:
+        """``snap`` takes a picture at a time (ns); ``bounds_ms`` are the shortest and the longest exposure."""
         super().__init__()
-        self._snap, self._expose = snap, expose
-        self._before_ms = exposure_ms
-        self._exposure_ms = min(max(exposure_ms, bounds_ms[0]), bounds_ms[1])
-        self._black, self._bit_depth, self._bounds = black, bit_depth, bounds_ms
+        self._rig, self._snap, self._bounds = rig, snap, bounds_ms
+        self._before_ms = rig.camera_settings.exposure_ms
+        self._exposure_ms = min(max(self._before_ms, bounds_ms[0]), bounds_ms[1])
+        self._black = rig.camera_settings.brightness_percent / 100
         self._pictures = 0
 
     def begin(self, now_ns: int) -> None:
         """The first picture is taken with the exposure as it is."""
-        self._look(self._exposure_ms, now_ns)
+        self._take_picture(self._exposure_ms, now_ns)
 
     def on_frame(self, frame: CameraFrame, now_ns: int) -> None:
         """Judge the picture; take another one, or end."""
-        high = measure(frame.pixels, self._bit_depth).high / 255
+        high = measure(frame.pixels, self._rig.camera_info.format.bit_depth).high / 255
         advice = advise(self._exposure_ms, high, self._black, self._bounds)
         self._pictures += 1
         self.share = self._pictures / MOST_PICTURES
@@ -111,7 +105,7 @@ class ExposureSearch(Activity):
         elif self._pictures >= MOST_PICTURES:
             self._fail(f"not found in {MOST_PICTURES} pictures: does the light change?")
         else:
-            self._look(advice.exposure_ms, now_ns)
+            self._take_picture(advice.exposure_ms, now_ns)
 
     def on_no_frame(self, now_ns: int) -> None:
         """The search cannot go on."""
@@ -121,12 +115,16 @@ class ExposureSearch(Activity):
         """Restore the exposure."""
         self._expose(self._before_ms)
 
-    def _look(self, exposure_ms: float, now_ns: int) -> None:
+    def _expose(self, exposure_ms: float) -> float:
+        wanted = msgspec.structs.replace(self._rig.camera_settings, exposure_ms=exposure_ms)
+        return self._rig.configure_camera(wanted).exposure_ms
+
+    def _take_picture(self, exposure_ms: float, now_ns: int) -> None:
         used_ms = self._expose(exposure_ms)
         # a camera may round: a bound that was asked for counts as reached
         self._exposure_ms = exposure_ms if exposure_ms in self._bounds else used_ms
         self._snap(now_ns)
 
-    def _fail(self, words: str) -> None:
+    def _fail(self, text: str) -> None:
         self.cancel()
-        self.end(f"{words}; it is {self._before_ms:g} ms as before", failed=True)
+        self.end(f"{text}; it is {self._before_ms:g} ms as before", failed=True)

@@ -83,7 +83,7 @@ def _quarter(raw: NDArray[Any], colours: str) -> NDArray[Any]:
 
 
 @dataclass(frozen=True)
-class View:
+class PreviewFrame:
     """A frame that may become a preview picture, and where it was taken."""
 
     pixels: NDArray[Any]

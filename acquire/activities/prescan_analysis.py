@@ -29,7 +29,7 @@ _GUESS: Final = 0.5
 
 
 @dataclass
-class Looks:
+class PrescanPictures:
     """Reduced grey pictures, one for each position, and the highest brightness at full size."""
 
     positions: list[int] = field(default_factory=list)
@@ -62,12 +62,12 @@ class Bounds:
     warnings: tuple[str, ...]
 
 
-def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bounds:
+def find_bounds(taken: PrescanPictures, contrast: float, travel: tuple[int, int]) -> Bounds:
     """Begin and end of the sweep: one position before the light reaches the specimen and after it has passed.
 
     The specimen is every pixel whose range reaches ``contrast`` (8-bit counts). Bounds lie within ``travel``.
     """
-    positions, pictures = looks.positions, np.stack(looks.pictures)
+    positions, pictures = taken.positions, np.stack(taken.pictures)
     low, high = pictures.min(axis=0), pictures.max(axis=0)
     mask = cv2.medianBlur(((high - low) >= contrast).astype(np.uint8), 3) > 0
     if np.count_nonzero(mask) < LEAST_PIXELS:
@@ -89,20 +89,22 @@ def find_bounds(looks: Looks, contrast: float, travel: tuple[int, int]) -> Bound
     )
 
 
-def propose_exposure(looks: Looks, exposure_ms: float, black: float, bounds_ms: Sequence[float]) -> tuple[float, str]:
+def propose_exposure(
+    taken: PrescanPictures, exposure_ms: float, black: float, bounds_ms: Sequence[float]
+) -> tuple[float, str]:
     """The exposure that brings the brightest picture to the target, in ms, and a warning (empty: none).
 
     ``black`` is the black level as a share of full scale; the pictures were taken with ``exposure_ms``.
     """
     shortest, longest = bounds_ms
-    if looks.high >= CLIPPED:
-        share = 100 * looks.full_scale_share
+    if taken.high >= CLIPPED:
+        share = 100 * taken.full_scale_share
         warning = (
             f"up to {share:.1f} % of the picture is saturated at {exposure_ms:.3g} ms: "
             "search the exposure where the light is on the specimen"
         )
         return max(exposure_ms * _GUESS, shortest), warning
-    wanted_ms = exposure_ms * (TARGET - black) / max(looks.high - black, 1e-3)
+    wanted_ms = exposure_ms * (TARGET - black) / max(taken.high - black, 1e-3)
     if wanted_ms <= longest:
         return max(wanted_ms, shortest), ""
     return longest, f"it stays dark: {wanted_ms:.3g} ms would be right, {longest:.3g} ms is the longest; raise the gain"
@@ -116,8 +118,8 @@ def _lighting(seen: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.
     return risen, done, 2 * seen >= low + high
 
 
-def _quantile(looks: NDArray[np.int64], share: float) -> int:
-    return int(np.quantile(looks, share, method="nearest"))
+def _quantile(numbers: NDArray[np.int64], share: float) -> int:
+    return int(np.quantile(numbers, share, method="nearest"))
 
 
 def _within(position_steps: int, travel: tuple[int, int]) -> int:
@@ -128,10 +130,10 @@ def _at_the_ends(lit_at_first: float, late_at_last: float, positions: Sequence[i
     found = []
     if lit_at_first > WARN_SHARE:
         found.append(
-            f"{100 * lit_at_first:.1f} % of the specimen is lit in the first look, at {positions[0]}: begin outside it"
+            f"{100 * lit_at_first:.1f} % of the specimen is lit in the first picture, at {positions[0]}: begin outside"
         )
     if late_at_last > WARN_SHARE:
         found.append(
-            f"{100 * late_at_last:.1f} % of the specimen is dark until the last look, at {positions[-1]}: end later"
+            f"{100 * late_at_last:.1f} % of the specimen is dark until the last picture, at {positions[-1]}: end later"
         )
     return found

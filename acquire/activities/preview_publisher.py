@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any, Final
 
 import zmq
@@ -11,7 +10,7 @@ from acquire.contract.messaging.lanes import Sender
 from acquire.contract.messaging.messages import FrameFormat, Picture
 from acquire.contract.units import NS_PER_S
 
-from .images import View, measure, reduce
+from .images import PreviewFrame, measure, reduce
 
 MOST_IN_A_SWEEP_HZ: Final = 5.0
 """During a sweep no more pictures are made: they come after the frames."""
@@ -27,11 +26,9 @@ class PreviewPublisher:
         self._sender = Sender(socket)
         self.watched = False
         """True while there are subscribers."""
-        self._newest: View | None = None
+        self._newest: PreviewFrame | None = None
         self._next_ns = 0
         self.counters = {"pictures": 0, "pictures_dropped": 0}
-        self.spent_ns = 0
-        """Time spent on pictures so far, in ns."""
 
     def poll(self) -> None:
         """Read subscriptions and their ends; anything else on this socket is ignored."""
@@ -43,37 +40,35 @@ class PreviewPublisher:
             if message in ([_SUBSCRIBED], [_LEFT]):
                 self.watched = message == [_SUBSCRIBED]
 
-    def keep(self, view: View) -> None:
+    def keep(self, frame: PreviewFrame) -> None:
         """Remember a sweep's newest frame; :meth:`flush` may show it. The pixels must not change any more."""
-        self._newest = view if self.watched else None
+        self._newest = frame if self.watched else None
 
     def flush(self, now_ns: int, frame_format: FrameFormat, rate_hz: float) -> None:
         """Show the frame that was kept, at most ``rate_hz`` times per second; call it when nothing else waits."""
         if self._newest is None or now_ns < self._next_ns:
             return
-        view, self._newest = self._newest, None
+        frame, self._newest = self._newest, None
         self._next_ns = now_ns + round(NS_PER_S / min(rate_hz, MOST_IN_A_SWEEP_HZ))
-        self.show(view, frame_format)
+        self.show(frame, frame_format)
 
-    def show(self, view: View, frame_format: FrameFormat) -> None:
+    def show(self, frame: PreviewFrame, frame_format: FrameFormat) -> None:
         """Reduce a frame and publish it, if there are subscribers."""
         if not self.watched:
             return
-        begin_ns = time.perf_counter_ns()
-        small = reduce(view.pixels, frame_format)
-        brightness = measure(view.pixels, frame_format.bit_depth)
+        small = reduce(frame.pixels, frame_format)
+        brightness = measure(frame.pixels, frame_format.bit_depth)
         picture = Picture(
-            scan_uid=view.scan_uid,
+            scan_uid=frame.scan_uid,
             shape=list(small.shape),
-            source_shape=list(view.pixels.shape[:2]),
-            frame_index=view.frame_index,
-            position_steps=view.position_steps,
-            position_um=view.position_um,
-            exposure_ms=view.exposure_ms,
+            source_shape=list(frame.pixels.shape[:2]),
+            frame_index=frame.frame_index,
+            position_steps=frame.position_steps,
+            position_um=frame.position_um,
+            exposure_ms=frame.exposure_ms,
             full_scale_share=brightness.full_scale_share,
             low=brightness.low,
             high=brightness.high,
         )
         sent = self._sender.send(picture, small)
         self.counters["pictures" if sent else "pictures_dropped"] += 1
-        self.spent_ns += time.perf_counter_ns() - begin_ns

@@ -22,7 +22,7 @@ from acquire.rigs.status_board import StatusBoard
 from acquire.stages.protocol import Alarm, Moved, SegmentDone, Stopped
 
 from .base import Activity, Rest
-from .images import View
+from .images import PreviewFrame
 from .preview_publisher import PreviewPublisher
 
 DEFAULT_RATE_HZ: Final = 5.0
@@ -180,7 +180,7 @@ class ActivityRunner:
             return
         position, exposure_ms = self._asked
         um = steps_to_um(position, self._config.stage.um_per_microstep)
-        self._preview.show(View(frame.pixels, position, um, exposure_ms), self._rig.camera_info.format)
+        self._preview.show(PreviewFrame(frame.pixels, position, um, exposure_ms), self._rig.camera_info.format)
         self._tell_asker(lambda activity: activity.on_frame(frame, now_ns), now_ns)
 
     def _tell_asker(self, what: Callable[[Activity], None], now_ns: int) -> None:
@@ -218,13 +218,13 @@ class ActivityRunner:
             self._finish()
 
     @staticmethod
-    def _give_up(activity: Activity, words: str) -> None:
-        """End an activity and undo its changes; a device that refuses the undoing is named in its last words."""
-        activity.end(words, failed=True)
+    def _give_up(activity: Activity, text: str) -> None:
+        """End an activity and undo its changes; a device that refuses the undoing is named in its last message."""
+        activity.end(text, failed=True)
         try:
             activity.cancel()
         except SweepscopeError as error:
-            activity.end(f"{words}; and it is not as it was before: {error}", failed=True)
+            activity.end(f"{text}; and it is not as it was before: {error}", failed=True)
 
     def _finish(self) -> None:
         activity, self.activity, self._next_wanted = self.activity, None, False

@@ -87,12 +87,12 @@ class PreviewRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PrescanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``prescan``: a quick look at every n-th position; what is left out comes from the configuration."""
+    """``prescan``: one picture at every n-th position; what is left out comes from the configuration."""
 
     first_steps: Position | None = None
     last_steps: Position | None = None
     every_steps: Annotated[int, Meta(ge=1, le=100_000)] | None = None
-    """Microsteps between two looks; None: twenty frames' worth."""
+    """Microsteps between two pictures; None: those of twenty frames."""
 
 
 class JogHoldRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

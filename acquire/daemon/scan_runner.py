@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 from numpy.typing import NDArray
 
-from acquire.activities.images import View
+from acquire.activities.images import PreviewFrame
 from acquire.cameras.protocol import CameraGone, CameraLostError
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.lanes import Sender, shared
@@ -43,7 +43,7 @@ class RunningScan:
         *,
         on_fault: Callable[[FaultReport], None],
         on_message: Callable[[str], None],
-        on_view: Callable[[View], None],
+        on_view: Callable[[PreviewFrame], None],
     ) -> None:
         self.prepared = prepared
         self._rig, self._lane, self._live = rig, lane, live
@@ -171,4 +171,4 @@ class RunningScan:
         if image.role == "sweep":
             start = self.prepared.start
             place = image.position_steps, image.position_um
-            self._on_view(View(pixels, *place, start.plan.exposure_ms, image.frame_index, start.scan_uid))
+            self._on_view(PreviewFrame(pixels, *place, start.plan.exposure_ms, image.frame_index, start.scan_uid))

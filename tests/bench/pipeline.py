@@ -51,7 +51,7 @@ def bench_pipeline(
         finally:
             context.destroy(linger=0)
     made = publisher.preview.counters["pictures"]
-    shown = {"pictures": made, "picture_ms": publisher.preview.spent_ns / 1e6 / made} if made else {}
+    shown = {"pictures": made, "picture_ms": marks.pictures_ns / 1e6 / made} if made else {}
     return _figures(marks, frames, shape, copy_ns) | shown
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import zmq
 from numpy.typing import NDArray
 
-from acquire.activities.images import View
+from acquire.activities.images import PreviewFrame
 from acquire.activities.preview_publisher import MOST_IN_A_SWEEP_HZ, PreviewPublisher
 from acquire.contract.errors import NoServiceError, SweepscopeError
 from acquire.contract.messaging.lanes import Sender, bind, connect, receive, shared
@@ -57,6 +57,8 @@ class Marks:
     end_ack: EndAck | None = None
     result_end: ResultEnd | None = None
     live_unsent: int = 0
+    pictures_ns: int = 0
+    """Time spent on preview pictures."""
     counts: dict[str, int] = field(default_factory=dict)
     worker_s: dict[str, float] = field(default_factory=dict)
     """Processor time of the worker by task, from its report."""
@@ -172,7 +174,7 @@ class Publisher:
         self._window.publish(image)
         self._lane.offer(image, part)
         self.marks.live_unsent += not self._live.send(image, part)
-        self.preview.keep(View(pixels, image.position_steps, image.position_um, 0.0, frame_index))
+        self.preview.keep(PreviewFrame(pixels, image.position_steps, image.position_um, 0.0, frame_index))
 
     def _until(self, fact: Callable[[], bool], deadline_s: float, what: str) -> None:
         end_ns = _now_ns() + round(deadline_s * NS_PER_S)
@@ -191,7 +193,9 @@ class Publisher:
             elif isinstance(event, Sealed):
                 self.marks.end_ack, self.marks.sealed_ns = event.end_ack, now_ns
         self.preview.poll()
+        begin_ns = _now_ns()
         self.preview.flush(now_ns, self._start.format, MOST_IN_A_SWEEP_HZ)
+        self.marks.pictures_ns += _now_ns() - begin_ns
         if self._looks is not None:
             receive(self._looks)
         while (received := receive(self._results)) is not None:

@@ -10,8 +10,8 @@ import msgspec
 from acquire.activities.capture import Capture, capture_path
 from acquire.activities.exposure_search import ExposureSearch
 from acquire.activities.jog_hold import LEASE_MS, MOST_STEPS, JogHold
-from acquire.activities.prescan import Prescan, look_positions
-from acquire.activities.prescan_analysis import Looks, find_bounds, propose_exposure
+from acquire.activities.prescan import Prescan, prescan_positions
+from acquire.activities.prescan_analysis import PrescanPictures, find_bounds, propose_exposure
 from acquire.activities.runner import ActivityRunner
 from acquire.activities.specimen import Specimen
 from acquire.contract.config.load import LoadedConfig
@@ -105,21 +105,8 @@ class ActivityCommands:
         if warm_s > 0:
             raise CommandRefusedError(f"cannot search the exposure: the lamp is warm in {warm_s:.0f} s; wait for it")
         shortest, longest = self._exposure_bounds_ms()
-        settings = self._rig.camera_settings
-        search = ExposureSearch(
-            snap=self._runner.snap,
-            expose=self._set_exposure,
-            exposure_ms=settings.exposure_ms,
-            black=settings.brightness_percent / 100,
-            bit_depth=self._rig.camera_info.format.bit_depth,
-            bounds_ms=(shortest, longest),
-        )
-        self._runner.run(search, call.now_ns)
+        self._runner.run(ExposureSearch(self._rig, self._runner.snap, (shortest, longest)), call.now_ns)
         return {"shortest_ms": shortest, "longest_ms": longest}
-
-    def _set_exposure(self, exposure_ms: float) -> float:
-        wanted = msgspec.structs.replace(self._rig.camera_settings, exposure_ms=exposure_ms)
-        return self._rig.configure_camera(wanted).exposure_ms
 
     def _exposure_bounds_ms(self) -> tuple[float, float]:
         """The camera's limits, and at most a share of a frame's period."""
@@ -151,13 +138,12 @@ class ActivityCommands:
         ends = ScanRequest(first_steps=request.first_steps, last_steps=request.last_steps)
         plan = plan_of(ends, self._config, self._rig.camera_settings)
         pitch = self._config.rig.sweep.steps_per_frame
-        positions = look_positions(plan.first_steps, plan.last_steps, request.every_steps, pitch)
+        positions = prescan_positions(plan.first_steps, plan.last_steps, request.every_steps, pitch)
         self._rig.set_lamp(on=True)
         prescan = Prescan(
+            self._rig,
             positions,
-            stage=self._rig.stage,
-            snap=self._runner.snap,
-            frame_format=self._rig.camera_info.format,
+            self._runner.snap,
             settle_ns=ns_from_ms(plan.settle_ms * self._config.rig.time_scale),
             warm_up_ns=round(self._lamp.update(call.now_ns, on=True) * NS_PER_S),
             conclude=self._conclude,
@@ -166,14 +152,14 @@ class ActivityCommands:
         self._runner.run(prescan, call.now_ns)
         return {"looks": len(positions), "first_steps": positions[0], "last_steps": positions[-1]}
 
-    def _conclude(self, looks: Looks) -> tuple[Proposal, int]:
+    def _conclude(self, pictures: PrescanPictures) -> tuple[Proposal, int]:
         """The proposal, and the position at which most of the specimen is lit."""
         config, settings = self._config, self._rig.camera_settings
         stage = config.rig.stage
         travel = stage.travel_min_steps, stage.travel_max_steps
-        bounds = find_bounds(looks, config.rig.reconstruct.contrast, travel)
+        bounds = find_bounds(pictures, config.rig.reconstruct.contrast, travel)
         black = settings.brightness_percent / 100
-        exposure_ms, warning = propose_exposure(looks, settings.exposure_ms, black, self._exposure_bounds_ms())
+        exposure_ms, warning = propose_exposure(pictures, settings.exposure_ms, black, self._exposure_bounds_ms())
         proposed: dict[str, Any] = {"first_steps": bounds.first_steps, "last_steps": bounds.last_steps}
         plan = plan_of(ScanRequest(**proposed), config, msgspec.structs.replace(settings, exposure_ms=exposure_ms))
         needed, free = space_for(config, plan, self._rig.camera_info.format)

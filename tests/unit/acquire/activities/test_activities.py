@@ -7,8 +7,8 @@ import pytest
 
 from acquire.activities.exposure_search import advise
 from acquire.activities.jog_hold import LEASE_MS, MOST_STEPS
-from acquire.activities.prescan import look_positions
-from acquire.activities.prescan_analysis import Looks, find_bounds, propose_exposure
+from acquire.activities.prescan import prescan_positions
+from acquire.activities.prescan_analysis import PrescanPictures, find_bounds, propose_exposure
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.units import NS_PER_MS
 from tests.unit.rig_in_process import AdjustableClock, RigInProcess
@@ -83,7 +83,7 @@ def test_a_damaged_picture_is_counted_and_judged_by_nobody(start_rig, damage):
     rig = start_rig(**BY_HAND, simulation__faults=f"{damage}:1")
     rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
     status = ended(rig)
-    assert "no usable picture came at look 2 of 4" in status["message"]
+    assert "no usable picture came at position 2 of 4" in status["message"]
     assert status["counters"]["pictures_damaged"] == 1 and status["proposal"] is None
 
 
@@ -138,8 +138,8 @@ def test_a_prescan_that_begins_in_the_light_warns(start_rig):
     rig = start_rig(**BY_HAND, simulation__object="dome")
     rig.ask("prescan", first_steps=660, last_steps=840, every_steps=60)
     warnings = " ".join(ended(rig)["proposal"]["warnings"])
-    assert "is lit in the first look, at 660: begin outside it" in warnings
-    assert "is dark until the last look, at 840: end later" in warnings
+    assert "is lit in the first picture, at 660: begin outside" in warnings
+    assert "is dark until the last picture, at 840: end later" in warnings
 
 
 def test_a_prescan_is_stopped_at_once_and_proposes_nothing(start_rig):
@@ -157,7 +157,7 @@ def test_a_prescan_in_between_pictures_goes_on_in_a_preview_and_leaves_it_on(sta
     rig.ask("preview", on=True, rate_hz=30)
     rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
     places: set[int] = set()
-    rig.until_true(lambda: places.add(rig.picture(watcher)[0].position_steps) or len(places) > 1, "looks are shown")
+    rig.until_true(lambda: places.add(rig.picture(watcher)[0].position_steps) or len(places) > 1, "pictures are shown")
     assert rig.until(lambda s: s["activity"] == "preview", "the pre-scan ends")["state"] == "preview"
 
 
@@ -169,22 +169,22 @@ def test_a_prescan_outside_the_travel_is_refused(start_rig):
 
 
 def test_looks_reach_both_ends_and_are_bounded_in_number():
-    assert look_positions(0, 130, 60, 3) == [0, 60, 120, 130]
-    assert look_positions(120, 0, None, 3) == [120, 60, 0]
-    assert len(look_positions(0, 1_000_000, None, 1)) <= 200
+    assert prescan_positions(0, 130, 60, 3) == [0, 60, 120, 130]
+    assert prescan_positions(120, 0, None, 3) == [120, 60, 0]
+    assert len(prescan_positions(0, 1_000_000, None, 1)) <= 200
     with pytest.raises(CommandRefusedError, match="every_steps of 5026 or more"):
-        look_positions(0, 1_000_000, 7, 1)
+        prescan_positions(0, 1_000_000, 7, 1)
 
 
-def looks_of(pictures, positions):
-    looks = Looks()
+def taken(pictures, positions):
+    found = PrescanPictures()
     for position, picture in zip(positions, pictures, strict=True):
-        looks.add(position, picture.astype(np.uint8), picture.max() / 255, float((picture == 255).mean()))
-    return looks
+        found.add(position, picture.astype(np.uint8), picture.max() / 255, float((picture == 255).mean()))
+    return found
 
 
 def test_without_a_specimen_it_says_so_and_proposes_what_was_asked():
-    found = find_bounds(looks_of(np.full((4, 30, 40), 20), [0, 60, 120, 180]), 70, (0, 4500))
+    found = find_bounds(taken(np.full((4, 30, 40), 20), [0, 60, 120, 180]), 70, (0, 4500))
     assert (found.first_steps, found.last_steps) == (0, 180) and "is there a specimen" in found.warnings[0]
 
 
@@ -192,15 +192,15 @@ def test_bounds_of_a_sweep_the_other_way_lie_outside_on_both_sides_and_within_th
     pictures = np.full((5, 30, 40), 10)
     pictures[2:, :, :20] = 200
     pictures[3:, :, 20:] = 200
-    found = find_bounds(looks_of(pictures, [400, 300, 200, 100, 0]), 70, (150, 4500))
+    found = find_bounds(taken(pictures, [400, 300, 200, 100, 0]), 70, (150, 4500))
     assert (found.first_steps, found.last_steps, found.warnings) == (400, 150, ())
 
 
 def test_a_proposed_exposure_brings_the_brightest_to_the_target_or_says_why_not():
-    looks = looks_of(np.full((2, 10, 10), 102), [0, 1])
-    assert propose_exposure(looks, 10.0, 0.0, (0.01, 60)) == (pytest.approx(21.25), "")
-    assert "raise the gain" in propose_exposure(looks, 10.0, 0.0, (0.01, 15))[1]
-    assert "is saturated at 10 ms" in propose_exposure(looks_of(np.full((2, 9, 9), 255), [0, 1]), 10, 0, (1, 60))[1]
+    pictures = taken(np.full((2, 10, 10), 102), [0, 1])
+    assert propose_exposure(pictures, 10.0, 0.0, (0.01, 60)) == (pytest.approx(21.25), "")
+    assert "raise the gain" in propose_exposure(pictures, 10.0, 0.0, (0.01, 15))[1]
+    assert "is saturated at 10 ms" in propose_exposure(taken(np.full((2, 9, 9), 255), [0, 1]), 10, 0, (1, 60))[1]
 
 
 # ---- motion under a lease ----
