@@ -65,12 +65,13 @@ class MachineShare:
         self._before = _thread_times()
 
     def __call__(self, wall_s: float) -> float:
-        now = _thread_times()
-        gone = [(ran - old[0], waited - old[1]) for key, (ran, waited) in now.items()
-                for old in [self._before.get(key, (0, 0))]]  # fmt: skip
+        now, ran_ns, waited_ns = _thread_times(), 0, 0
+        for thread, (ran, waited) in now.items():
+            ran_before, waited_before = self._before.get(thread, (0, 0))
+            ran_ns, waited_ns = ran_ns + ran - ran_before, waited_ns + waited - waited_before
         self._before = now
-        ran_s, waited_s = (sum(part[k] for part in gone) / _NS_PER_S for k in (0, 1))
-        return max(_LEAST_SHARE, min(share_got(ran_s, waited_s, wall_s), fair_share(_runnable(), self._cores)))
+        got = share_got(ran_ns / _NS_PER_S, waited_ns / _NS_PER_S, wall_s)
+        return max(_LEAST_SHARE, min(got, fair_share(_runnable(), self._cores)))
 
 
 def _thread_times() -> dict[str, tuple[int, int]]:
