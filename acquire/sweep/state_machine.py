@@ -104,10 +104,10 @@ def _take_frame(sweep: Sweep, frame: CameraFrame, now_ns: int, *, was_early: boo
         return [*actions, *sweep.intake.take(frame, arrival.shot, "overlap"), picture]
     sweep.retakes.taken.add(arrival.shot.frame_index)
     actions += sweep.intake.take(frame, arrival.shot, "sweep")
-    return actions + _watch_light(sweep, frame, arrival.shot.frame_index) + _grant(sweep, now_ns)
+    return actions + _watch_light(sweep, frame, arrival.shot.frame_index, now_ns) + _grant(sweep, now_ns)
 
 
-def _watch_light(sweep: Sweep, frame: CameraFrame, frame_index: int) -> list[Action]:
+def _watch_light(sweep: Sweep, frame: CameraFrame, frame_index: int, now_ns: int) -> list[Action]:
     """In another light S is wrong for every pixel: hold, and let the operator decide."""
     if frame_index == 0:
         sweep.checks.first = frame.pixels
@@ -116,7 +116,7 @@ def _watch_light(sweep: Sweep, frame: CameraFrame, frame_index: int) -> list[Act
         return []
     since, change = found
     fault = RaiseFault(sweep.fault("F27", detail=f"{change} since frame {since}"))
-    return [fault, SaveMarks(sweep.checks.note_light_change(since)), *_hold(sweep)]
+    return [fault, SaveMarks(sweep.checks.note_light_change(since)), *_hold(sweep, now_ns)]
 
 
 def _retake(sweep: Sweep, loss: Loss, now_ns: int) -> list[Action]:
@@ -185,22 +185,26 @@ def _on_alarm(sweep: Sweep, event: Alarm, now_ns: int) -> list[Action]:
 
 
 def _expect_stage(sweep: Sweep, now_ns: int) -> None:
-    """The stage must answer by the deadline only while it has something to do."""
+    """The stage must answer by the deadline, but not while it holds or has no credit."""
     if sweep.phase in STAGE_PHASES:
-        waiting = sweep.window.awaits_trigger() and not sweep.paused
-        sweep.deadline_ns = now_ns + sweep.settings.motion_ns if waiting else None
+        runs = sweep.phase is Phase.RUN
+        waits = sweep.window.awaits_trigger() and not sweep.paused if runs else not sweep.at_rest
+        sweep.deadline_ns = now_ns + sweep.settings.motion_ns if waits else None
 
 
 # ---- the operator ----
 
 
 def _on_pause(sweep: Sweep, event: PauseRequested, now_ns: int) -> list[Action]:
-    return _hold(sweep) if sweep.can_pause and not sweep.paused else []
+    return _hold(sweep, now_ns) if sweep.can_pause and not sweep.paused else []
 
 
-def _hold(sweep: Sweep) -> list[Action]:
+def _hold(sweep: Sweep, now_ns: int) -> list[Action]:
     sweep.paused = True
-    return [HoldStage()] if sweep.phase is Phase.RUN else []
+    if sweep.phase is not Phase.RUN:
+        return []
+    _expect_stage(sweep, now_ns)
+    return [HoldStage()]
 
 
 def _on_resume(sweep: Sweep, event: ResumeRequested, now_ns: int) -> list[Action]:

@@ -53,6 +53,8 @@ class Bench:
     now_ns: int = 1_000_000 * MS
     lamp: bool = False
     acking: bool = True
+    stage_is_dead: bool = False
+    """The stage takes commands and says nothing."""
     tells_time: bool = True
     """Whether the camera says when it exposed."""
     spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
@@ -126,13 +128,15 @@ class Bench:
                 self._granted = through
             case do.HoldStage():
                 self._held = True
-                self._events.append(Held("requested", 0))
+                if not self.stage_is_dead:
+                    self._events.append(Held("requested", 0))
             case do.ResumeStage():
                 self._held = False
             case do.StopStage():
                 self._segment = None
                 self.stops += 1
-                self._events.append(Stopped(0, position_trusted=True))
+                if not self.stage_is_dead:
+                    self._events.append(Stopped(0, position_trusted=True))
             case do.CheckLimit():
                 self._events.append(Moved(0, position_trusted=True, steps_lost=0))
             case do.Publish(image, _pixels):
@@ -153,7 +157,7 @@ class Bench:
 
     def _shoot(self) -> None:
         segment = self._segment
-        if segment is None or self._held or self._events or self._next_shot > self._granted:
+        if self.stage_is_dead or segment is None or self._held or self._events or self._next_shot > self._granted:
             return
         position = segment.first_steps + self._next_shot * segment.pitch_steps
         plan = self.sweep.settings.plan

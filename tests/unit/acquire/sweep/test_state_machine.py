@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from acquire.cameras.protocol import CameraGone
+from acquire.cameras.protocol import CameraFrame, CameraGone
 from acquire.contract.messaging.messages import AckItem, EndAck, FrameFormat, Nack
 from acquire.contract.states import HoldReason, Outcome, State
 from acquire.stages.protocol import Alarm, Held, Stopped, Triggered
@@ -219,6 +219,47 @@ def test_a_paused_sweep_goes_on_where_it_was():
     assert done(on) and [frame for frame, _ in on.triggers] == [*range(20), 0]
 
 
+def in_mid_run(**changes: object) -> Bench:
+    """A sweep that has taken frame 0, whose stage is on its way to frame 1 and says nothing more."""
+    on = bench(20, **changes)
+    on.stage_is_dead = True
+    on.start()
+    on.feed(Triggered(1, 0, 30, at_mono_ns=on.now_ns))
+    on.feed(CameraFrame(np.ones((4, 5), np.uint8), 99, on.now_ns))
+    return on
+
+
+def test_a_pause_may_last_longer_than_any_motion():
+    on = in_mid_run()
+    on.feed(PauseRequested())
+    on.tick(60_000)
+    assert (on.sweep.state, on.sweep.hold_reason, on.faults) == (State.HOLDING, HoldReason.PAUSED, [])
+    on.feed(ResumeRequested())
+    on.tick(5001)
+    assert [fault.code for fault in on.faults] == ["F12"], "then the stage must answer again"
+
+
+def test_a_stage_that_was_told_to_stop_must_answer_although_a_last_trigger_came():
+    on = in_mid_run()
+    on.feed(StopRequested())
+    on.feed(Triggered(2, 1, 33, at_mono_ns=on.now_ns))
+    for ms in (200, 5001, 1):
+        on.tick(ms)
+    assert done(on) and [fault.code for fault in on.faults] == ["F12"]
+
+
+def test_the_end_is_sent_only_after_the_last_published_frame_is_committed():
+    on = bench(2, check_limit=True, repeat_first=False, needs_confirmation=True)
+    on.acking = False
+    on.start()
+    on.ack_all()
+    assert on.sweep.phase is Phase.DRAIN and on.end is None, "frame 1 waits for its confirmation"
+    on.feed(Tick(on.now_ns + 10 * MS))
+    assert on.end is None, "its ack is on the way"
+    on.ack_all()
+    assert on.end is not None and on.end.end.missing == []
+
+
 def test_a_stopped_sweep_keeps_what_was_taken_and_names_the_rest():
     on = bench(20, slots=4)
     on.acking = False
@@ -386,7 +427,7 @@ def test_a_trigger_at_another_place_than_planned_is_never_taken_for_right():
 def test_a_stage_that_falls_silent_is_a_fault_and_not_an_endless_wait():
     on = bench(20)
     on.sweep.start(on.now_ns)
-    on._shoot = lambda: None
+    on.stage_is_dead = True
     on.feed(WriterReady(reserved=True, came_back=False))
     on.tick(1)
     on.tick(5001)
