@@ -1,1 +1,1 @@
-"""Clients of the daemon."""
+"""Blocking clients of the daemon, for the command line."""

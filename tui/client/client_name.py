@@ -1,4 +1,4 @@
-"""Who asks the rig: the name by which a client is told from others. Loads nothing heavy."""
+"""The name by which the rig tells this client from others. Imports nothing heavy."""
 
 from __future__ import annotations
 

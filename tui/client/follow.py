@@ -1,4 +1,4 @@
-"""Follows one scan on the status lane until it has ended, saying how far it is; gives up only when nothing is heard."""
+"""Follows one scan on the status lane until it has ended; gives up when no status comes any more."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ProgressPrinter:
         self._said_at_s = float("-inf")
         self._state = ""
 
-    def hear(self, status: Status) -> None:
+    def take(self, status: Status) -> None:
         """Say a line if there is reason to."""
         now_s = time.monotonic()
         if status.state == self._state and now_s - self._said_at_s < self._every_s:
@@ -40,12 +40,12 @@ def has_ended(status: Status, scan_uid: str) -> bool:
 
 
 def follow_scan(
-    client: RigClient, scan_uid: str, hear: Callable[[Status], None], silence_s: float = SILENCE_S
+    client: RigClient, scan_uid: str, on_status: Callable[[Status], None], silence_s: float = SILENCE_S
 ) -> Status:
     """The status with which the scan ``scan_uid`` ended.
 
     Raises:
-        NoServiceError: nothing was heard of the daemon for ``silence_s``.
+        NoServiceError: no status came for ``silence_s``.
         SweepscopeError: the daemon was started again, so that the scan is interrupted.
     """
     seen = False
@@ -61,7 +61,7 @@ def follow_scan(
                 raise SweepscopeError("the rig daemon was started again in mid-sweep: what was committed is safe")
             continue
         seen = True
-        hear(status)
+        on_status(status)
         if has_ended(status, scan_uid):
             return status
 

@@ -129,12 +129,12 @@ class ProgressFeed:
         self._ends: dict[str, ResultEnd] = {}
 
     def end_of(self, scan_uid: str) -> ResultEnd | None:
-        """What the worker said when the scan's maps and cloud were on disk; None if that was not heard. Never waits."""
+        """The worker's message that the scan's maps and cloud are on disk; None if it did not come. Never waits."""
         self.newest()
         return self._ends.get(scan_uid)
 
     def newest(self) -> ResultProgress | None:
-        """What was heard last; None if nothing was. Never waits."""
+        """The newest progress; None if none came. Never waits."""
         for received in self._feed.arrived("results", MOST_AT_ONCE):
             if isinstance(received.message, ResultProgress):
                 self._newest = received.message

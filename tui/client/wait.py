@@ -1,4 +1,4 @@
-"""Waits until the rig rests again after a command; asks, so that what it hears is never older than the command."""
+"""Waits until the rig is at rest again after a command; it asks for the status, as a published one may be older."""
 
 from __future__ import annotations
 

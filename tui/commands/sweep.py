@@ -84,8 +84,8 @@ def _run(session: Session, command: str, wait: bool, as_json: bool, /, **args: A
             return 0
         if not as_json:
             _show_started(result, as_json=False)
-        narrator = ProgressPrinter(lambda line: click.echo(line, err=as_json))
-        end = follow_scan(client, str(result.get("scan_uid", "")), narrator.hear)
+        printer = ProgressPrinter(lambda line: click.echo(line, err=as_json))
+        end = follow_scan(client, str(result.get("scan_uid", "")), printer.take)
     if as_json:
         print_json({**result, "outcome": end.outcome, "committed": end.committed, "missing": end.missing})
     else:

@@ -140,9 +140,9 @@ def run_demo(options: DemoOptions) -> int:
 def _run_headless(options: DemoOptions) -> int:
     wake = threading.Event()
     with signals_set(wake) as came, DemoRig(options, _complain) as rig:
-        narrator = ProgressPrinter(say)
-        demonstration = Demonstration(rig, say, narrator.hear)
-        narrator.progress = demonstration.feed.newest
+        printer = ProgressPrinter(say)
+        demonstration = Demonstration(rig, say, printer.take)
+        printer.progress = demonstration.feed.newest
         demonstration.cancelled = wake
         try:
             verdict = demonstration.run()

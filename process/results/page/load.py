@@ -64,7 +64,7 @@ def read_results(scan: Path, folder: Path | None = None) -> ScanResults:
 
 
 def _those_of(cloud: NDArray[Any] | None, maps: dict[str, NDArray[Any]], kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels of a cloud that lacks some of the maps' crossings (no light plane there), told by their crossings."""
+    """Pixels of a cloud that lacks some of the maps' crossings (no light plane there), found by their crossings."""
     none = np.zeros(kept.shape, np.bool_)
     if cloud is None or not len(cloud):
         return none

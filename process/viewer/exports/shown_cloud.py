@@ -17,7 +17,7 @@ from process.viewer.stream.colouring import FittedPlane, Legend, ValueRange, Vie
 
 @dataclass(frozen=True)
 class ShownCloud:
-    """The points, how they are shown, and what is said about them."""
+    """The points, how they are shown, and the facts beside them."""
 
     title: str
     tiles: Mapping[int, Tile]

@@ -1,1 +1,1 @@
-"""Panels."""
+"""The widgets beside the scene."""

@@ -17,7 +17,7 @@ OLD_NS = 2 * NS_PER_S
 """A picture older than this is called old."""
 NO_PICTURE = "no picture yet: start a preview or a sweep"
 CLIPPED_SHARE = 0.001
-"""More of the picture at full scale than this is said."""
+"""More of the picture at full scale than this is shown as a warning."""
 
 
 class CameraPanel:

@@ -38,7 +38,10 @@ class MeasurePanel:
         self._jobs = JobQueue(wake)
         self._tiles: Mapping[int, Tile] = {}
         self._eye_mm: NDArray[np.float64] | None = None
+        self._picked: PickedPoint | None = None
+        """The newest point; its numbers are shown."""
         self._first: PickedPoint | None = None
+        """The first end of the next distance."""
         self._distances: dict[str, Distance] = {}
         self._made = 0
         self._marks: list[Any] = []
@@ -54,7 +57,7 @@ class MeasurePanel:
         self._on.on_update(self._switch)
         self._which.on_update(self._choose)
         self._actions.on_click(self._act)
-        self._say_list()
+        self._show_list()
 
     # ---- from the browsers: the server's loop ----
 
@@ -104,6 +107,7 @@ class MeasurePanel:
             self._delete_all()
 
     def _take(self, picked: PickedPoint) -> None:
+        self._picked = picked
         if self._first is None or len(self._distances) >= MOST:
             self._first = picked
         else:
@@ -112,13 +116,12 @@ class MeasurePanel:
             self._distances[name] = Distance(self._first, picked)
             self._first = None
             self._offer(name)
-        self._say_list(picked)
         self._draw()
         self._show_profile()
 
     def _forget_first(self) -> None:
         self._first = None
-        self._say_list()
+        self._show_list()
         self._draw()
 
     def _delete(self) -> None:
@@ -127,7 +130,7 @@ class MeasurePanel:
 
     def _delete_all(self) -> None:
         self._distances.clear()
-        self._first = None
+        self._first = self._picked = None
         self._changed()
 
     def _send_csv(self, client: viser.ClientHandle) -> None:
@@ -136,7 +139,6 @@ class MeasurePanel:
 
     def _changed(self) -> None:
         self._offer(next(reversed(self._distances), NONE))
-        self._say_list()
         self._draw()
         self._show_profile()
 
@@ -144,7 +146,8 @@ class MeasurePanel:
         write(self._which, options=tuple(self._distances) or (NONE,), disabled=not self._distances)
         write(self._which, value=chosen)
 
-    def _say_list(self, picked: PickedPoint | None = None) -> None:
+    def _show_list(self) -> None:
+        picked = self._picked
         hint = "Click the second point." if self._first is not None else "Click the first point."
         html = html_of(
             "measurements.html",
@@ -198,7 +201,7 @@ class MeasurePanel:
         if found is not None:
             write(self._place, label=f"Section {found.width_mm:.2f} mm wide, {found.points:,} points")
             self._plot = self._plotted(found)
-        self._say_list()
+        self._show_list()
 
     def _plotted(self, found: Profile) -> viser.GuiUplotHandle:
         """Made anew each time: one that was made while hidden has no width."""

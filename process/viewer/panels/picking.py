@@ -141,6 +141,7 @@ def pick(
     ]
     if not found:
         return None
+    # the point nearest to the ray would often be one of the far side, seen between two drawn points of the near side
     front = min(float(along.min()) for _, along, _ in found)
     tolerance = max(least_mm, spread * front)
     best: tuple[float, Tile, int] | None = None

@@ -125,7 +125,7 @@ class RigPanel:
     # ---- in the main loop ----
 
     def show(self, snapshot: Snapshot, now_ns: int) -> None:
-        """Enable what makes sense now, say what became of the last click, keep control for its holder."""
+        """Enable what is offered now, show what became of the last click, keep control for its holder."""
         live = heading(snapshot, now_ns).live
         self._status = snapshot.status if live else None
         may = allowed(snapshot.status, live=live)

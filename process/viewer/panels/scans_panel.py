@@ -82,7 +82,7 @@ class ScansPanel:
             self._submit(self._render, client)
 
     def _submit(self, job: Callable[..., None], *args: Any) -> None:
-        """Let the thread do it; what goes wrong there is said on the page."""
+        """Let the thread do it; what goes wrong there is shown on the page."""
 
         def ended(future: Future[None]) -> None:
             if not future.cancelled() and (error := future.exception()) is not None:

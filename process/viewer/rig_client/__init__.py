@@ -1,1 +1,1 @@
-"""Client of the rig."""
+"""What the page reads from the rig and sends to it, each in a thread of its own."""

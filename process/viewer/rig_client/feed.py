@@ -51,7 +51,7 @@ class Peer:
 
     connected: bool = False
     heard_ns: int = 0
-    """CLOCK_MONOTONIC of its last message here; 0: never heard."""
+    """CLOCK_MONOTONIC here when its last message came; 0: none came."""
     changed_ns: int = 0
     """CLOCK_MONOTONIC of the last connection or loss; 0: never was there."""
 

@@ -1,1 +1,1 @@
-"""The 3D scene."""
+"""The 3D scene: floor, light, rig, and the cameras of the browsers."""

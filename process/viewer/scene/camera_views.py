@@ -27,7 +27,7 @@ VIEWS: Final[dict[str, tuple[float, float, float]]] = {
 """Named directions from the object to the eye."""
 MARGIN = 1.12
 ASPECT = 1.2
-"""Width by height of the picture until the browser has told its own."""
+"""Width by height of the picture until the browser has sent its own."""
 MIN_DISTANCE_MM = 0.01
 GROWTH = 1.15
 """Views follow a growing cloud in steps of this factor."""

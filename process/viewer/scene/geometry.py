@@ -31,6 +31,7 @@ def field_of_view(camera: CameraModel) -> BoundingBox | None:
         [(x, y, 1.0) for x in (-0.5, camera.width - 0.5) for y in (-0.5, camera.height - 0.5)], dtype=np.float64
     )
     eye = -rotation.T @ translation
+    # X_cam = R X + T (equation 1), so a ray has the direction R^T K^-1 (x, y, 1) from u = -R^T T
     rays = corners @ np.linalg.inv(np.asarray(camera.K)).T @ rotation
     if (np.abs(rays[:, 2]) < 1e-12).any():
         return None
@@ -68,6 +69,7 @@ def light_at(
         normal = np.asarray(light.normal)
         corner = np.asarray(light.corner_origin_mm) + np.asarray(light.corner_velocity_mm) * t
         offset = float(normal @ corner)
+    # a printed normal is not exactly a unit vector
     length = float(np.linalg.norm(normal))
     return normal / length, offset / length
 

@@ -211,7 +211,7 @@ class CalibrationLookup:
         self._path = ""
         self._found: Calibration | None = None
         if before:
-            with contextlib.suppress(SweepscopeError):  # the services that need it say what is wrong with it
+            with contextlib.suppress(SweepscopeError):  # the services that need it report what is wrong with it
                 self._found, _ = load_calibration(Path(before).expanduser())
         self._looks_left = 0
         self._next_ns = 0

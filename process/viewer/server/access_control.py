@@ -132,7 +132,7 @@ class AccessControl:
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
     def arm(self) -> None:
-        """Let requests pass; before this even the own page gets 503, so that nobody sees a half-built page."""
+        """Let requests pass; before this even the own page gets 503, so that no browser shows a half-built page."""
         self._armed.set()
 
     def decide(self, request: PageRequest) -> AccessDecision:

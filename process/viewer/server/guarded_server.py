@@ -84,7 +84,7 @@ def listen(host: str, port: int) -> socket.socket:
 def start_server(
     access: AccessControl, listener: socket.socket, max_bytes_per_s: float = DEFAULT_BYTES_PER_S
 ) -> GuardedServer:
-    """A server that has been checked to refuse strangers; nobody is let in before :meth:`AccessControl.arm`.
+    """A server that has been checked to refuse strangers; no browser is let in before :meth:`AccessControl.arm`.
 
     Raises:
         AccessControlError: requests are not judged, or a stranger was let in.
@@ -117,7 +117,7 @@ def stop_server(server: GuardedServer) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """viser prints an address without the token, which nobody could use."""
+    """viser prints an address without the token, which is of no use."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield
 

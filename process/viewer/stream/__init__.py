@@ -1,1 +1,1 @@
-"""Points to browsers."""
+"""Points to browsers: coloured, grouped into nodes, thinned, sent at the pace of each connection."""

@@ -162,7 +162,9 @@ def fit_plane(tiles: Iterable[Tile]) -> FittedPlane | None:
         about = points - centre
         design = about[:, :2]
         slopes, *_ = np.linalg.lstsq(design[kept], about[kept, 2], rcond=None)
+        # distances along the normal, not along z
         residual = (about[:, 2] - design @ slopes) / math.hypot(1.0, *slopes)
+        # 1.4826 median absolute deviations are the standard deviation of normal noise, whatever stands on the plane
         spread = 1.4826 * float(np.median(np.abs(residual[kept]))) + 1e-9
         rms_um = float(np.sqrt(np.mean(residual[kept] ** 2))) * UM_PER_MM
         found = FittedPlane((centre[0], centre[1], centre[2]), float(slopes[0]), float(slopes[1]), rms_um)

@@ -36,7 +36,7 @@ class ViserConnection:
 
     @property
     def eye_mm(self) -> NDArray[np.float64] | None:
-        """Where the browser looks from, shape [3]; None if it has not said."""
+        """Where the browser looks from, shape [3]; None if that is not known."""
         return np.asarray(self._client.camera.position, np.float64)
 
     def idle(self) -> bool:

@@ -144,7 +144,7 @@ def test_a_click_on_start_reaches_the_daemon_and_its_words_and_faults_come_back(
     page: Any, viewer: tuple[ViewerProcess, Path]
 ) -> None:
     with FakeRig(viewer[1], refuse="<b>home the stage first</b>") as rig:
-        rig.set_status(state="idle", faults=[report("F13", committed=412, expected=527)])
+        rig.set_status(state="idle", position_trusted=True, faults=[report("F13", committed=412, expected=527)])
         page.wait_for_selector('.sw[data-state="idle"][data-live="true"]')
         page.locator('input[value="scan"]').fill("my frog")
         page.get_by_text("Start", exact=True).click()
@@ -195,6 +195,7 @@ def test_two_clicks_on_the_cloud_make_a_distance_and_a_click_beside_it_does_not(
         page.get_by_text("No data here").first.wait_for()
         page.mouse.click(260, 330)
         page.get_by_text("Click the second point.").wait_for()
+        page.get_by_text("quality: not known while it is live").wait_for()
         page.mouse.click(310, 370)
         page.get_by_text("horizontal").wait_for()
         page.get_by_text("Section 0").wait_for()

@@ -12,8 +12,7 @@ import pytest
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import AlreadyRunningError, ConfigError
 from acquire.contract.process.run_dir import lock_service
-from process.viewer import run_viewer
-from process.viewer.service import Viewer
+from process.viewer.service import Viewer, run_viewer
 from tests.fakes.processes.viewer_process import ViewerProcess
 
 

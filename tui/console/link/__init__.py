@@ -1,1 +1,1 @@
-"""The input thread."""
+"""The console's input thread, and the values that it hands to the screen."""

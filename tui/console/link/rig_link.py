@@ -70,10 +70,10 @@ class RigLink:
         self._thread = threading.Thread(target=self._run, name="rig-link", daemon=True)
         self._updates = UpdateQueue(post, self._wake_up)
         self._command_timeout_s = command_timeout_s
-        self._commands = CommandClient(self._tell_end, command_timeout_s)
+        self._commands = CommandClient(self._post_end, command_timeout_s)
         self._state: tuple[str, str] = ("", "")
         self._pictures_wanted = threading.Event()
-        self._heard_at_s: float | None = None
+        self._status_at_s: float | None = None
         self._connected: bool | None = None
         self._looked_at_s = float("-inf")
         self._url = ""
@@ -142,7 +142,7 @@ class RigLink:
             self._set_connected(False, str(error))
             self._wait_without_daemon()
             return
-        self._heard_at_s = None
+        self._status_at_s = None
         listening_since_s = time.monotonic()
         try:
             while not self._ending.is_set():
@@ -172,7 +172,7 @@ class RigLink:
     def _take(self, received: Received) -> None:
         message = received.message
         if isinstance(message, Status):
-            self._heard_at_s = time.monotonic()
+            self._status_at_s = time.monotonic()
             before, self._state = self._state, (message.state, message.hold_reason)
             self._updates.show("status", StatusArrived(message), urgent=self._state != before)
         elif isinstance(message, ResultProgress):
@@ -184,8 +184,8 @@ class RigLink:
         elif isinstance(message, ResultMaps):
             self._updates.show("maps", MapsArrived(MapsView.of(message, received.buffer)))
 
-    def _tell_end(self, update: CommandUpdate) -> None:
-        """Tell the screen how a command ended; that it was sent is not told."""
+    def _post_end(self, update: CommandUpdate) -> None:
+        """Tell the screen how a command ended; that it was sent is not posted."""
         if update.state is CommandState.SENT:
             return
         command, reply = update.command, update.reply
@@ -200,11 +200,11 @@ class RigLink:
 
     def _judge_link(self, run_dir: Path, listening_since_s: float) -> bool:
         now_s = time.monotonic()
-        if self._heard_at_s is not None and now_s - self._heard_at_s < AWAY_S:
+        if self._status_at_s is not None and now_s - self._status_at_s < AWAY_S:
             self._set_connected(True, str(run_dir))
             return False
-        if now_s - (self._heard_at_s or listening_since_s) >= AWAY_S:
-            self._set_connected(False, f"no rig daemon is heard in {run_dir}")
+        if now_s - (self._status_at_s or listening_since_s) >= AWAY_S:
+            self._set_connected(False, f"no rig daemon answers in {run_dir}")
             return True
         return False
 

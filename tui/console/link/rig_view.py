@@ -60,7 +60,7 @@ class MapsView:
 
 @dataclass(frozen=True, eq=False)
 class RigView:
-    """Everything that a screen may show. None: nothing has been heard of it yet."""
+    """Everything that a screen may show. None: nothing has come of it yet."""
 
     status: Status | None = None
     progress: ResultProgress | None = None
@@ -71,7 +71,7 @@ class RigView:
     end: ResultEnd | None = None
     """The last cloud that was written."""
     connected: bool = False
-    """True while the daemon is heard; otherwise everything here is what was last known."""
+    """True while the daemon sends its status; otherwise everything here is what was last known."""
     url: str = ""
     """Address of the page; empty while no viewer runs."""
     stop_words: str = ""
@@ -83,5 +83,5 @@ class RigView:
 
     @property
     def in_control(self) -> bool:
-        """True if nobody else holds control."""
+        """True if no other client holds control."""
         return self.status is None or self.status.control in ("", self.me)

@@ -97,7 +97,7 @@ def test_following_a_scan_ends_with_its_outcome_and_hears_its_progress(run_dir):
     said: list[str] = []
     with FakeDaemon(run_dir, frames_per_tick=10, expected=60) as daemon, RigClient(run_dir) as client:
         scan_uid = client.request("scan", name="ear").result["scan_uid"]
-        end = follow_scan(client, scan_uid, ProgressPrinter(said.append, every_s=0.0).hear)
+        end = follow_scan(client, scan_uid, ProgressPrinter(said.append, every_s=0.0).take)
         assert end.outcome == Outcome.COMPLETE and end.committed == 60
         assert daemon.status.state == State.IDLE
     assert any("SWEEPING" in line for line in said)
