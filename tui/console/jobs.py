@@ -50,6 +50,8 @@ class Job:
     """The last JSON object that it printed."""
     words: str = ""
     """The last plain text that it printed: the reason, if it failed."""
+    child: Process | None = None
+    """None until it has been started."""
 
     @property
     def share(self) -> float | None:
@@ -93,8 +95,7 @@ class Jobs:
         """Environment of the children, beside that of this process."""
         self.running: list[Job] = []
         """The oldest first."""
-        self._children: dict[Job, Process] = {}
-        self._tasks: dict[Job, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
 
     @property
@@ -126,7 +127,9 @@ class Jobs:
             return None
         job = Job(title, subject, quiet)
         self.running.append(job)
-        self._tasks[job] = asyncio.create_task(self._run(job, arguments, on_end, on_result))
+        task = asyncio.create_task(self._run(job, arguments, on_end, on_result))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
         if not quiet:
             self._say(f"{title}: started", "info")
         return job
@@ -143,21 +146,16 @@ class Jobs:
         if job is None or job.cancelled or not job.running:
             return
         job.cancelled = True
-        self._interrupt(job)
+        if job.child is not None:  # otherwise it is interrupted as soon as it has been started
+            _interrupt(job.child)
         self._on_change()
-
-    def _interrupt(self, job: Job) -> None:
-        child = self._children.get(job)
-        if child is not None:  # otherwise it is interrupted as soon as it has been started
-            _signal(child, signal.SIGINT)
-            asyncio.get_running_loop().call_later(CANCEL_S, _signal, child, signal.SIGKILL)
 
     async def close(self) -> None:
         """Cancel all jobs and wait for their ends; nothing can be started afterwards and no callback is called."""
         self._closed = True
         for job in self.running:
             self.cancel(job)
-        await asyncio.gather(*self._tasks.values())
+        await asyncio.gather(*self._tasks)
 
     # ---- the task of one job ----
 
@@ -170,10 +168,11 @@ class Jobs:
             job.words = str(error)
         job.running = False
         self.running.remove(job)
-        del self._tasks[job]
-        self._children.pop(job, None)
+        self._notify(self._ended, job, on_end)
+
+    def _notify(self, work: Callable[..., Any], *args: Any) -> None:
         if not self._closed:
-            self._call(self._ended, job, on_end)
+            self._call(work, *args)
 
     def _ended(self, job: Job, on_end: OnJobEnd | None) -> None:
         if not job.quiet:
@@ -183,7 +182,7 @@ class Jobs:
         self._on_change()
 
     async def _follow(self, job: Job, arguments: Sequence[str], on_result: OnJobResult | None) -> None:
-        child = await asyncio.create_subprocess_exec(
+        job.child = child = await asyncio.create_subprocess_exec(
             *PROGRAM,
             *arguments,
             stdin=DEVNULL,
@@ -193,9 +192,8 @@ class Jobs:
             env={**os.environ, "PYTHONUNBUFFERED": "1", **self.environ},
             limit=MAX_LINE_BYTES,
         )
-        self._children[job] = child
         if job.cancelled:
-            self._interrupt(job)
+            _interrupt(child)
         assert child.stdout is not None
         while line := await _next_line(child.stdout):
             self._take(job, line, on_result)
@@ -209,10 +207,9 @@ class Jobs:
             job.done, job.total = _count(found["done"]), _count(found["total"])
         else:
             job.result = found
-            if on_result is not None and not self._closed:
-                self._call(on_result, found)
-        if not self._closed:
-            self._call(self._on_change)
+            if on_result is not None:
+                self._notify(on_result, found)
+        self._notify(self._on_change)
 
 
 async def _next_line(lines: asyncio.StreamReader) -> bytes:
@@ -234,6 +231,12 @@ def _object(line: bytes) -> dict[str, Any] | None:
 
 def _count(value: Any) -> int:
     return value if isinstance(value, int) and value >= 0 else 0
+
+
+def _interrupt(child: Process) -> None:
+    """SIGINT now, SIGKILL if that was not enough."""
+    _signal(child, signal.SIGINT)
+    asyncio.get_running_loop().call_later(CANCEL_S, _signal, child, signal.SIGKILL)
 
 
 def _signal(child: Process, number: signal.Signals) -> None:

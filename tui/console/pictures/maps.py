@@ -241,9 +241,3 @@ def pixel_words(maps: MapSet, mask: NDArray[np.bool_], window: MapWindow) -> str
         f"contrast {(high - low) / maps.unit:.0f} ({'over' if inside else 'under'})  "
         f"crossing {f'{crossing:.2f}' if inside and math.isfinite(crossing) else 'none'}"
     )
-
-
-def picture_size(shape: tuple[int, int], width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of the largest picture in ``height`` x ``width`` that keeps the ratio of ``shape``."""
-    scale = min(height / shape[0], width / shape[1])
-    return max(1, min(height, round(shape[0] * scale))), max(1, min(width, round(shape[1] * scale)))

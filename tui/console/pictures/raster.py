@@ -31,7 +31,7 @@ DETAILS: tuple[PictureDetail, ...] = (FULL, PictureDetail(8, 1), PictureDetail(8
 """From fine to coarse."""
 
 
-def half_cells_for(source_height: int, source_width: int, rows: int, columns: int) -> tuple[int, int]:
+def half_cells_for(source_height: float, source_width: float, rows: int, columns: int) -> tuple[int, int]:
     """Height (even, in half cells) and width (in cells) of the picture in ``rows`` x ``columns`` cells.
 
     A cell is taken to be twice as high as it is wide.
@@ -133,3 +133,12 @@ def sharpness(pixels: NDArray[np.uint8]) -> float:
     if mean < 1.0 or min(grey.shape) < 2:
         return 0.0
     return float(np.mean(np.diff(grey, axis=0) ** 2) + np.mean(np.diff(grey, axis=1) ** 2)) / mean
+
+
+def runs(codes: NDArray[np.int32], apart: int) -> list[tuple[int, int]]:
+    """Begin and end of the runs of equal values; the cell ``apart`` (-1: none) is a run of its own."""
+    breaks = np.flatnonzero(np.diff(codes)) + 1
+    if apart >= 0:
+        breaks = np.union1d(breaks, [index for index in (apart, apart + 1) if 0 < index < len(codes)])
+    edges = [0, *breaks.tolist(), len(codes)]
+    return list(zip(edges[:-1], edges[1:], strict=True))

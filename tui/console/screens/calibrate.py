@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
@@ -20,16 +18,13 @@ from tui.console.link.messages import CommandAnswered
 from tui.console.link.rig_view import RigView
 from tui.console.screens.camera_screen import CameraScreen
 from tui.console.screens.dialogs import FormDialog, FormField
+from tui.console.screens.scan_list import ScanList
 from tui.console.shell import Shell
 from tui.console.widgets.board_picture import BoardPicture
 from tui.console.widgets.calibrate_panes import GuidePane, GuideView
 from tui.console.widgets.job_lines import JobLines
 from tui.console.widgets.rows import RowList, Rows
-from tui.scans.folder import ScanFolder
 from tui.text.status_text import is_running
-
-POLL_S = 2.0
-"""How often the folder of scans is listed for new sweeps."""
 
 
 class CalibrateScreen(CameraScreen):
@@ -75,7 +70,7 @@ class CalibrateScreen(CameraScreen):
         self._list.border_title = "sweeps over the board"
         self._guide = GuidePane()
         self._job_lines = JobLines()
-        self._scans = ScanFolder(shell.options.data_dir)
+        self._scans = ScanList(self, self._take_scans)
         self._progress = CalibrationProgress(shell.options.data_dir)
         self._watch = BoardWatch(self.jobs, lambda: self.show_all(self.view))
         self._light = LightSetup()
@@ -87,7 +82,7 @@ class CalibrateScreen(CameraScreen):
 
     def on_mount(self) -> None:
         """List the sweeps, again and again."""
-        self.set_interval(POLL_S, self._list_sweeps)
+        self._scans.begin()
 
     def on_screen_suspend(self) -> None:
         """Hidden: do not look for the board, nor search the exposure when the light arrives."""
@@ -131,16 +126,8 @@ class CalibrateScreen(CameraScreen):
             hint = camera_hint(lamp_on=status is not None and status.lamp_on, views=len(session.views))
         return GuideView(CAMERA_GOAL, board, live=live, facts=self._watch.facts, result=result, hint=hint)
 
-    def _list_sweeps(self) -> None:
-        if self.is_current and self._progress.plane_step:
-            self.run_worker(self._listed(), exclusive=True, exit_on_error=False)
-
-    async def _listed(self) -> None:
-        try:
-            found = await asyncio.to_thread(self._scans.look)
-        except SweepscopeError:
-            return
-        self._progress.sweeps.take(found)
+    def _take_scans(self) -> None:
+        self._progress.sweeps.take(self._scans.entries)
         self.show_all(self.view)
 
     def _looks_for_board(self, view: RigView) -> bool:
@@ -235,7 +222,6 @@ class CalibrateScreen(CameraScreen):
         """Camera, light plane."""
         self._progress.next_step()
         self.show_all(self.view)
-        self._list_sweeps()
 
     def action_result(self) -> None:
         """Show the result, or the guidance."""

@@ -12,11 +12,10 @@ from textual.timer import Timer
 
 from tui.console.link.messages import CommandAnswered
 from tui.console.link.rig_view import RigView
-from tui.console.screens.adjust import AdjustDialog, LatestValue
 from tui.console.screens.base import action_name
 from tui.console.screens.camera_screen import CameraScreen
 from tui.console.screens.jogging import Jogging
-from tui.console.screens.plan_dialogs import plan_dialog, start_dialog, words_dialog
+from tui.console.screens.scan_dialogs import AdjustDialog, LatestValue, plan_dialog, start_dialog, words_dialog
 from tui.console.shell import Shell
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import FAST_FACTOR

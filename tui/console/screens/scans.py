@@ -22,17 +22,15 @@ from tui.console.link.rig_view import RigView
 from tui.console.screens.base import RigScreenBase
 from tui.console.screens.dialogs import Confirm, FormDialog, FormField
 from tui.console.screens.reconstruct import ReconstructScreen
+from tui.console.screens.scan_list import ScanList
 from tui.console.shell import Shell
 from tui.console.state.scan_forms import parse_folder
 from tui.console.widgets.job_lines import JobLines
 from tui.console.widgets.rows import RowList, Rows
 from tui.console.widgets.scan_rows import ScanDetail, columns_of, row_of
-from tui.scans.folder import ScanEntry, ScanFolder, held
+from tui.scans.folder import ScanEntry, held
 from tui.scans.scan_text import copy_words, reconstruct_words, recover_words, verify_words, why_not_now
 from tui.scans.trash import trash_scan
-
-POLL_S = 2.0
-"""How often the folder is listed while this screen is in view."""
 
 
 class ScansScreen(RigScreenBase):
@@ -69,9 +67,7 @@ class ScansScreen(RigScreenBase):
         self._list = RowList(id="scans", empty="reading the folder of scans ...")
         self._detail = ScanDetail()
         self._job_lines = JobLines()
-        self._entries: list[ScanEntry] = []
-        self._folder = ScanFolder(shell.options.data_dir)
-        self._is_listing = False
+        self._scans = ScanList(self, lambda: self.show_all(self.view))
         self._last: dict[str, str] = {}
         """The result of the last work on each scan."""
 
@@ -83,32 +79,20 @@ class ScansScreen(RigScreenBase):
 
     def on_mount(self) -> None:
         """List the folder, again and again."""
-        self.set_interval(POLL_S, lambda: self._list_folder() if self.is_current else None)
-        self._list_folder()
-
-    def _list_folder(self) -> None:
-        if not self._is_listing:
-            self._is_listing = True
-            self.run_worker(self._listed(), exit_on_error=False)
-
-    async def _listed(self) -> None:
-        try:
-            self._entries = await asyncio.to_thread(self._folder.look)
-            self._list.say_when_empty(f"no scans in {self._folder.data_dir}: 1 goes to the scan screen")
-        except (SweepscopeError, OSError) as error:
-            self._list.say_when_empty(str(error))
-        finally:
-            self._is_listing = False
-        self.show_all(self.view)
+        self._scans.begin()
 
     # ---- what is shown ----
 
     def show(self, view: RigView) -> None:
         """List, detail, jobs."""
+        if self._scans.problem is not None:
+            self._list.say_when_empty(
+                self._scans.problem or f"no scans in {self._scans.folder}: 1 goes to the scan screen"
+            )
         columns, now = columns_of(self._list.content_size.width - 2), datetime.now(UTC)
         header = Text("".join(f"{name:<{cells}}" for name, cells in columns))
-        rows = [row_of(entry, self._job_on(entry), columns, now) for entry in self._entries]
-        self._list.show(Rows(header, rows, [str(entry.folder) for entry in self._entries]))
+        rows = [row_of(entry, self._job_on(entry), columns, now) for entry in self._scans.entries]
+        self._list.show(Rows(header, rows, [str(entry.folder) for entry in self._scans.entries]))
         self._list.border_title = self._title()
         entry = self._chosen
         self._detail.border_title = entry.folder.name if entry else "scan"
@@ -116,10 +100,10 @@ class ScansScreen(RigScreenBase):
         self._job_lines.show(self.jobs.work)
 
     def _title(self) -> str:
-        if not self._entries:
+        if not self._scans.entries:
             return "scans"
-        total = sum(entry.size_bytes for entry in self._entries)
-        return f"{len(self._entries)} scans, {format_bytes(total)}, {_free(self._folder.data_dir)} free"
+        total = sum(entry.size_bytes for entry in self._scans.entries)
+        return f"{len(self._scans.entries)} scans, {format_bytes(total)}, {_free(self._scans.folder)} free"
 
     def on_row_list_moved(self) -> None:
         """Another scan: other things can be done."""
@@ -128,7 +112,7 @@ class ScansScreen(RigScreenBase):
     @property
     def _chosen(self) -> ScanEntry | None:
         key = self._list.chosen
-        return next((entry for entry in self._entries if str(entry.folder) == key), None)
+        return next((entry for entry in self._scans.entries if str(entry.folder) == key), None)
 
     def _job_on(self, entry: ScanEntry) -> Job | None:
         return self.jobs.running_on(str(entry.folder))
@@ -241,7 +225,7 @@ class ScansScreen(RigScreenBase):
                 self.say(f"{what}: {await asyncio.to_thread(work)}")
             except (SweepscopeError, OSError) as error:
                 self.say(f"{what}: {error}", "error")
-            self._list_folder()
+            self._scans.update()
 
         self.run_worker(run(), exit_on_error=False)
 
@@ -263,7 +247,7 @@ class ScansScreen(RigScreenBase):
             if job.result is not None and not job.cancelled:
                 self._last[folder] = f"{what}: {words(job.result)}"
                 self.say(f"{name}: {self._last[folder]}", "info" if job.ok else "error")
-            self._list_folder()
+            self._scans.update()
 
         command = [arguments[0], folder, *more, *arguments[1:]]
         self.jobs.start(f"{what} {name}", command, folder, ended)

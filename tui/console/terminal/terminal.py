@@ -17,18 +17,20 @@ COLOURS = ("auto", "truecolor", "256", "16", "none")
 _TEXTUAL_COLOURS = {"truecolor": "truecolor", "256": "256", "16": "standard", "none": "standard"}
 
 
+def not_terminals() -> list[str]:
+    """Those of stdin, stdout and stderr that are no terminal (Textual draws on stderr)."""
+    streams = {"stdin": sys.stdin, "stdout": sys.stdout, "stderr": sys.stderr}
+    return [name for name, stream in streams.items() if stream is None or not stream.isatty()]
+
+
 def is_terminal() -> bool:
-    """True if stdin, stdout and stderr are all terminals (Textual draws on stderr)."""
-    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+    """True if stdin, stdout and stderr are all terminals."""
+    return not not_terminals()
 
 
 def require_terminal(what: str) -> None:
-    """Raise SweepscopeError unless all three streams are terminals."""
-    missing = [
-        name
-        for name, stream in (("stdin", sys.stdin), ("stdout", sys.stdout), ("stderr", sys.stderr))
-        if stream is None or not stream.isatty()
-    ]
+    """Raise SweepscopeError unless stdin, stdout and stderr are all terminals."""
+    missing = not_terminals()
     if missing:
         raise SweepscopeError(
             f"{what} needs a terminal and {', '.join(missing)} is not one: run it without pipes, "

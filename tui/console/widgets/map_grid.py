@@ -49,4 +49,4 @@ class MapGrid(Grid):
     @property
     def cells_across(self) -> int:
         """How many cells wide a map is drawn."""
-        return self._views[self._alone or MapKind.MINIMUM].picture_cells[1]
+        return self._views[self._alone or MapKind.MINIMUM].cells_across

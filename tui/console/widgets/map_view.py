@@ -16,7 +16,8 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from acquire.contract.colormaps import NO_VALUE_RGB, MapName, table
-from tui.console.pictures.maps import MapLayer, MapWindow, cell_of_cursor, cells_of, picture_size
+from tui.console.pictures.maps import MapLayer, MapWindow, cell_of_cursor, cells_of
+from tui.console.pictures.raster import half_cells_for, runs
 
 LEVELS = 32
 """Number of colours."""
@@ -86,11 +87,9 @@ class MapView(Widget):
         """How often the picture changed, for tests."""
 
     @property
-    def picture_cells(self) -> tuple[int, int]:
-        """Rows (two in a cell, one where plain) and columns of values that have room."""
-        size = self.content_size
-        across = min(size.width - 1, self._max_across)
-        return max(1, (size.height - 2) * (1 if self._plain else 2)), max(1, across)
+    def cells_across(self) -> int:
+        """Cells that the picture may be wide."""
+        return max(1, min(self.content_size.width - 1, self._max_across))
 
     def show(self, layer: MapLayer, window: MapWindow, max_across: int) -> None:
         """Take a map and its visible part; at most ``max_across`` cells wide, so that neighbours are equally large."""
@@ -105,12 +104,10 @@ class MapView(Widget):
         layer, window = self._layer, self._window
         if layer is None or window is None or not self.size:
             return
-        down, across = self.picture_cells
-        shape = (round(window.height * (0.5 if self._plain else 1.0)) or 1, max(1, round(window.width)))
-        rows, columns = picture_size(shape, across, down)
-        if not self._plain:
-            rows += rows % 2
-            rows = min(rows, down)
+        room = max(1, self.content_size.height - 2)  # the name and the range take two lines
+        rows, columns = half_cells_for(window.height, window.width, room, self.cells_across)
+        if self._plain:
+            rows //= 2
         levels = levels_of(cells_of(layer.values, window, rows, columns), layer.low, layer.high)
         row, column = cell_of_cursor(window, rows, columns)
         cursor = (row if self._plain else row // 2, column)
@@ -135,62 +132,55 @@ class MapView(Widget):
         return self._line(y).apply_style(self.rich_style)
 
     def _line(self, y: int) -> Strip:
-        width = self.size.width
-        if self._layer is None or not self._levels.size:
+        layer, width = self._layer, self.size.width
+        if layer is None or not self._levels.size:
             return Strip.blank(width)
-        rows = len(self._levels) if self._plain else (len(self._levels) + 1) // 2
+        rows = len(self._levels) if self._plain else len(self._levels) // 2
         if y == 0:
-            return Strip([Segment(f"{self._layer.kind:<{width}}"[:width], _LABEL)], width)
-        if y == rows + 1:
-            return self._legend(width)
-        if not 1 <= y <= rows:
-            return Strip.blank(width)
-        segments = self._plain_row(y - 1) if self._plain else self._row(y - 1)
-        used = self._levels.shape[1]
-        return Strip([*segments, Segment(" " * max(0, width - used))]).crop(0, width)
+            segments = [Segment(layer.kind, _LABEL)]
+        elif y == rows + 1:
+            segments = self._legend(layer, width)
+        elif 1 <= y <= rows:
+            segments = self._plain_row(y - 1) if self._plain else self._row(layer, y - 1)
+        else:
+            segments = []
+        return Strip(segments).adjust_cell_length(width)
 
-    def _row(self, row: int) -> list[Segment]:
-        assert self._layer is not None
-        tops = self._levels[2 * row]
-        bottoms = self._levels[2 * row + 1] if 2 * row + 1 < len(self._levels) else tops
-        change = np.flatnonzero((np.diff(tops) != 0) | (np.diff(bottoms) != 0)) + 1
-        starts = [0, *change.tolist(), len(tops)]
-        if row == self._cursor[0]:
-            starts = sorted({*starts, self._cursor[1], self._cursor[1] + 1})
+    def _row(self, layer: MapLayer, row: int) -> list[Segment]:
+        tops, bottoms = self._levels[2 * row].tolist(), self._levels[2 * row + 1].tolist()
+        codes = self._levels[2 * row].astype(np.int32) * 256 + self._levels[2 * row + 1]
         segments = []
-        for start, end in zip(starts[:-1], starts[1:], strict=True):
-            if (row, start) == self._cursor:
+        for begin, end in runs(codes, self._cursor[1] if row == self._cursor[0] else -1):
+            top, bottom = tops[begin], bottoms[begin]
+            if (row, begin) == self._cursor:
                 segments.append(Segment("+", _CURSOR))
-                continue
-            top, bottom = int(tops[start]), int(bottoms[start])
-            if top == bottom == NONE:
-                segments.append(Segment("╱" * (end - start), _none_style()))
+            elif top == bottom == NONE:
+                segments.append(Segment("╱" * (end - begin), _none_style()))
             else:
                 half = "▄" if top == NONE else "▀"
-                segments.append(Segment(half * (end - start), _style(self._layer.colours, top, bottom)))
+                segments.append(Segment(half * (end - begin), _style(layer.colours, top, bottom)))
         return segments
 
     def _plain_row(self, row: int) -> list[Segment]:
-        levels = self._levels[row].astype(int)
-        signs = ["/" if level == NONE else RAMP[level * len(RAMP) // LEVELS] for level in levels]
+        signs = ["/" if level == NONE else _ramp_sign(level) for level in self._levels[row].tolist()]
         if row == self._cursor[0]:
             signs[self._cursor[1]] = "X"
         return [Segment("".join(signs))]
 
-    def _legend(self, width: int) -> Strip:
-        layer = self._layer
-        assert layer is not None
-        low, high = f"{layer.low:.0f} ", f" {layer.high:.0f} {layer.unit}".rstrip()
+    def _legend(self, layer: MapLayer, width: int) -> list[Segment]:
+        low, high = f"{layer.low:.0f} ", f" {layer.high:.0f} {layer.unit}"
         if layer.unit == "":
             low, high = "under ", " over"
         room = min(24, width - len(low) - len(high) - 1)
         if room < 2:
-            return Strip([Segment(f"{low}..{high}".ljust(width)[:width], _DIM)], width)
+            return [Segment(f"{low}..{high}", _DIM)]
         steps = [round(cell * (LEVELS - 1) / (room - 1)) for cell in range(room)]
         if self._plain:
-            bar = [Segment("".join(RAMP[step * len(RAMP) // LEVELS] for step in steps))]
+            bar = [Segment("".join(map(_ramp_sign, steps)))]
         else:
             bar = [Segment("▀", _style(layer.colours, step, step)) for step in steps]
-        used = len(low) + room + len(high)
-        tail = Segment(" " * max(0, width - used))
-        return Strip([Segment(low, _DIM), *bar, Segment(high, _DIM), tail]).crop(0, width)
+        return [Segment(low, _DIM), *bar, Segment(high, _DIM)]
+
+
+def _ramp_sign(level: int) -> str:
+    return RAMP[level * len(RAMP) // LEVELS]

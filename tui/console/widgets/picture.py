@@ -16,7 +16,7 @@ from textual.strip import Strip
 from textual.widget import Widget
 
 from tui.console.link.rig_view import PictureView
-from tui.console.pictures.raster import FULL, PictureDetail, Raster, half_cells_for
+from tui.console.pictures.raster import FULL, PictureDetail, Raster, half_cells_for, runs
 
 RAMP = " .:-=+*%#@"
 CLIP_SIGN = "X"
@@ -107,13 +107,13 @@ class LivePicture(Widget):
         background = self.visual_style.rich_style
         if self.picture is None:
             return self._words_line(y, background)
-        (above, left), (height, width) = self.offset_cells, self.size_cells
+        above, left = self.offset_cells
         row = y - above
-        if not 0 <= row < height:
+        if not 0 <= row < self.size_cells[0]:
             return Strip.blank(self.size.width, background)
-        cells = list(self._half_row(row) if self.mode == "half" else self._mono_row(row, background))
-        margins = Segment(" " * left, background), Segment(" " * (self.size.width - left - width), background)
-        return Strip([margins[0], *cells, margins[1]], self.size.width)
+        cells = self._half_row(row) if self.mode == "half" else self._mono_row(row, background)
+        margin = Segment(" " * left, background)
+        return Strip([margin, *cells]).adjust_cell_length(self.size.width, background)
 
     def _words_line(self, y: int, style: Style) -> Strip:
         lines = self.words.split("\n")
@@ -126,7 +126,7 @@ class LivePicture(Widget):
         pair = np.where(raster.clipped, np.uint8(CLIP_CODE), raster.levels)[2 * row : 2 * row + 2]
         top, bottom = pair[0].tolist(), pair[1].tolist()
         centre = self._centre(row)
-        for begin, end in _runs(pair[0].astype(np.int32) * 256 + pair[1], centre):
+        for begin, end in runs(pair[0].astype(np.int32) * 256 + pair[1], centre):
             style = half_style(top[begin], bottom[begin], raster.count)
             if begin == centre:
                 yield Segment("┼", Style(color=CROSS_COLOUR, bgcolor=style.bgcolor))
@@ -148,12 +148,3 @@ class LivePicture(Widget):
         """Column of the crosshair; -1 where it is not in this row."""
         height, width = self.size_cells
         return width // 2 if self._crosshair and row == height // 2 else -1
-
-
-def _runs(codes: NDArray[np.int32], apart: int) -> list[tuple[int, int]]:
-    """Begin and end of the runs of equal values; the cell ``apart`` (-1: none) is a run of its own."""
-    breaks = np.flatnonzero(np.diff(codes)) + 1
-    if apart >= 0:
-        breaks = np.union1d(breaks, [index for index in (apart, apart + 1) if 0 < index < len(codes)])
-    edges = [0, *breaks.tolist(), len(codes)]
-    return list(zip(edges[:-1], edges[1:], strict=True))

@@ -14,8 +14,8 @@ from tests.unit.tui.console.test_console import FAULT, replace
 from tui.console.link.messages import CommandAnswered, LinkChanged, PictureArrived, ProgressArrived, StatusArrived
 from tui.console.link.rig_view import PictureView
 from tui.console.screen_table import SCREENS
-from tui.console.screens.adjust import AdjustDialog
 from tui.console.screens.dialogs import FormDialog
+from tui.console.screens.scan_dialogs import AdjustDialog
 from tui.console.widgets.frame import Header, KeyLine
 from tui.console.widgets.scan_panes import LightPane, PlanPane, StagePane
 

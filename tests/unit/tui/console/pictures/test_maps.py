@@ -20,7 +20,6 @@ from tui.console.pictures.maps import (
     histogram,
     layers_of,
     mask_of,
-    picture_size,
     pixel_words,
     sample_at,
     window_on,
@@ -124,12 +123,6 @@ def test_the_values_under_the_cursor_are_those_of_the_pixel():
     low, high = maps.minimum[3, 4], maps.maximum[3, 4]
     assert found.startswith(f"x 8  y 6  min {low}  max {high}  contrast {high - low} (over)  crossing ")
     assert pixel_words(maps, ~mask, MapWindow(48, 64, row=3, column=4)).endswith("(under)  crossing none")
-
-
-def test_pictures_keep_their_sides_ratio_within_the_place_that_they_have():
-    assert picture_size((768, 1024), 20, 100) == (15, 20)
-    assert picture_size((768, 1024), 200, 15) == (15, 20)
-    assert picture_size((1, 5000), 10, 10) == (1, 10)
 
 
 def written(folder: Path, maps: MapSet) -> Path:

@@ -21,7 +21,7 @@ from tui.console.calibration.rules import CalibrationSituation, why_not
 from tui.console.calibration.session import BoardPattern, CalibrationSession, parse_board
 from tui.console.link.messages import CommandAnswered, PictureArrived, StatusArrived
 from tui.console.link.rig_view import PictureView
-from tui.console.screens import calibrate
+from tui.console.screens import scan_list
 from tui.console.widgets.board_picture import BoardPicture
 from tui.console.widgets.calibrate_panes import GuidePane
 from tui.console.widgets.rows import RowList
@@ -186,7 +186,7 @@ def test_a_calibration_that_fails_says_the_routines_reason(tmp_path):
 
 
 def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrate, "POLL_S", 0.1)
+    monkeypatch.setattr(scan_list, "POLL_S", 0.1)
     session = with_views(tmp_path, 3)
     session.result.write_text('{"camera": {}}')
     for name in ("a", "b"):
@@ -220,7 +220,7 @@ def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch
 
 
 def test_a_sweep_that_cannot_pass_says_so_before_the_plane_is_fitted(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrate, "POLL_S", 0.1)
+    monkeypatch.setattr(scan_list, "POLL_S", 0.1)
     folder = make_scan(tmp_path / "a", purpose="calibration")
     (folder / "report.json").write_text('{"counts": {"over_contrast": 200, "quality_saturated": 178}}')
 

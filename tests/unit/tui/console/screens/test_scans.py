@@ -14,7 +14,7 @@ from tests.fakes.scans.small_scans import make_scan
 from tests.fakes.scans.some_maps import write_maps
 from tests.unit.tui.console.stage import Stage, play
 from tui.console import jobs
-from tui.console.screens import dialogs, scans
+from tui.console.screens import dialogs, scan_list
 from tui.console.screens.dialogs import Confirm, FormDialog
 from tui.console.screens.reconstruct import ReconstructScreen
 from tui.console.widgets.rows import RowList
@@ -24,7 +24,7 @@ from tui.console.widgets.scan_rows import ScanDetail
 @pytest.fixture(autouse=True)
 def quick(request, monkeypatch):
     """Answers count at once, but where that is the test; the folder is looked at often."""
-    monkeypatch.setattr(scans, "POLL_S", 0.1)
+    monkeypatch.setattr(scan_list, "POLL_S", 0.1)
     monkeypatch.setattr(dialogs, "TYPE_AHEAD_S", 1000.0 if "type_ahead" in request.node.name else 0.0)
 
 
