@@ -78,10 +78,11 @@ def _thread_times() -> dict[str, tuple[int, int]]:
     """For each thread of this process and its descendants: ns that it ran, ns that it waited for a core."""
     me, times = psutil.Process(), {}
     for process in [me, *me.children(recursive=True)]:
-        for path in Path(f"/proc/{process.pid}/task").glob("*/schedstat"):
-            with suppress(OSError):
-                ran, waited, _ = map(int, path.read_text().split())
-                times[str(path)] = ran, waited
+        with suppress(OSError):  # the process has ended
+            for task in Path(f"/proc/{process.pid}/task").iterdir():
+                with suppress(OSError):  # the thread has ended
+                    ran, waited, _ = map(int, (task / "schedstat").read_text().split())
+                    times[str(task)] = ran, waited
     return times
 
 
