@@ -300,9 +300,9 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     stage_version: Name = ""
     """Firmware of the motion controller; empty where it has none."""
     control: Name = ""
-    """The client that holds control, by its name; empty: nobody does, and any client may act."""
+    """The client that holds control, by its name; empty: none, and any client may act."""
     activity: Name = ""
-    """``preview``, ``exposure``, ``prescan`` or ``jog`` while one runs beside no sweep; empty otherwise."""
+    """``preview``, ``exposure``, ``prescan`` ...: what runs while no scan does; empty: nothing."""
     activity_share: float = 0.0
     """How far a pre-scan or an exposure search is, 0..1."""
     proposal: Proposal | None = None

@@ -79,7 +79,7 @@ def test_a_camera_that_gives_no_picture_ends_the_search_in_words(start_rig):
 
 
 @pytest.mark.parametrize("damage", ["shape", "type"])
-def test_a_damaged_picture_is_counted_and_judged_by_nobody(start_rig, damage):
+def test_a_damaged_picture_is_counted_and_not_measured(start_rig, damage):
     rig = start_rig(**BY_HAND, simulation__faults=f"{damage}:1")
     rig.ask("prescan", first_steps=0, last_steps=300, every_steps=100)
     status = ended(rig)

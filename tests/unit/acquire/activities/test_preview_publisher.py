@@ -1,4 +1,4 @@
-"""The preview lane: no work for nobody, few pictures during a sweep, the newest one wins."""
+"""The preview lane: no work without subscribers, few pictures during a sweep, the newest one wins."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_of_a_sweeps_frames_the_newest_is_shown_at_most_five_times_a_second(lane
     watcher.close()
 
 
-def test_nobody_looks_nothing_is_kept_or_made(lane):
+def test_without_subscribers_nothing_is_kept_or_made(lane):
     lane.keep(view(1))
     watcher = lane.join()
     until(lane, watched=True)

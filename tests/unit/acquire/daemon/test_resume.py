@@ -1,4 +1,4 @@
-"""Going on with a scan: refused before anything moves where the rig is set otherwise, and then it stays nobody's."""
+"""Resuming a scan is refused before anything moves where the rig is set differently, and the scan is released."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def config(**changes: object) -> LoadedConfig:
     return load_config(overrides=settings, environ={})
 
 
-def assert_nobodys(scan: Path) -> None:
+def assert_released(scan: Path) -> None:
     FileLock(scan / OWNER_LOCK_NAME, "this scan").release()
 
 
@@ -63,14 +63,14 @@ def test_a_scan_is_gone_on_with_where_the_rig_is_set_as_it_was(scan):
         ({"limits__window_bytes": 1_000_000}, "window"),
     ],
 )
-def test_a_stage_or_a_memory_that_is_set_otherwise_is_refused_and_the_scan_stays_nobodys(
+def test_a_stage_or_a_memory_that_is_set_differently_is_refused_and_the_scan_is_released(
     scan, changes, words, monkeypatch
 ):
     if "limits__window_bytes" in changes:
         monkeypatch.setattr("acquire.daemon.scan_setup.slots_for", lambda *_args: 0)
     with pytest.raises(CommandRefusedError, match=words):
         prepare_resume(scan, config(**changes), SMALL)
-    assert_nobodys(scan)
+    assert_released(scan)
 
 
 class Device:
@@ -113,13 +113,13 @@ def test_a_scan_on_the_fly_is_not_gone_on_with_by_a_stage_that_must_stand_still(
     daemon.rig.stage_info = msgspec.structs.replace(daemon.rig.stage_info, modes=("step",))
     with pytest.raises(CommandRefusedError, match="not in fly mode"):
         resume(daemon, scan)
-    assert_nobodys(scan)
+    assert_released(scan)
 
 
 def test_a_camera_that_does_not_answer_leaves_the_scan_to_be_resumed_another_time(daemon, scan):
     daemon.rig.camera.lost = True
     with pytest.raises(CameraLostError):
         resume(daemon, scan)
-    assert_nobodys(scan)
+    assert_released(scan)
     daemon.rig.camera.lost = False
     assert resume(daemon, scan)["expected"] == COUNT
