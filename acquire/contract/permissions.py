@@ -48,6 +48,11 @@ class Permission:
     never_late: bool = False
     """Done however long it was on the way; all others are refused when they come late."""
 
+    @property
+    def always(self) -> bool:
+        """True if nothing of the rig can refuse it."""
+        return self.states == _ANY
+
 
 def _at_rest(purpose: str, **more: Any) -> Permission:
     """A command for a rig that does nothing, or only previews."""

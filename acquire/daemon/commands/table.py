@@ -11,7 +11,7 @@ import msgspec
 
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import Command, Status
-from acquire.contract.permissions import check_permission
+from acquire.contract.permissions import PERMISSIONS, check_permission
 from acquire.daemon.requests import (
     AcknowledgeRequest,
     Call,
@@ -102,6 +102,7 @@ class CommandDispatcher:
             near = difflib.get_close_matches(command.name, self._table, n=1, cutoff=0.0)
             raise CommandRefusedError(f"there is no command {command.name[:40]!r}; did you mean {near[0]!r}?")
         request = parse_request(command.name, spec.request, command.args)
-        if not spec.checks_permission:
+        # a STOP must not fail because the status cannot be made
+        if not (spec.checks_permission or PERMISSIONS[command.name].always):
             check_permission(command.name, self._current_status(now_ns))
         return spec.handler(request, Call(command.client, now_ns))

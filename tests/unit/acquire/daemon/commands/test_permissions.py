@@ -77,6 +77,15 @@ def test_daemon_console_and_page_give_one_answer_for_each_state(command):
         assert allowed(status, live=True)[command] == (not offered)
 
 
+def test_a_stop_is_done_even_if_the_state_of_the_rig_cannot_be_found():
+    parts, broken = MagicMock(), MagicMock(side_effect=OSError("the stage does not answer"))
+    daemon = CommandDispatcher(command_table(parts.scans, parts, parts, parts), Control(), broken)
+    daemon.serve(Command(request_id="1", name="stop"), 0)
+    parts.scans.stop.assert_called_once()
+    with pytest.raises(OSError, match="does not answer"):
+        daemon.serve(Command(request_id="2", name="home"), 0)
+
+
 def test_the_table_has_every_command_of_the_daemon_and_no_other():
     parts = MagicMock()
     assert PERMISSIONS.keys() == command_table(parts, parts, parts, parts).keys()
