@@ -11,9 +11,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import IO
 
 import msgspec
 
@@ -31,8 +29,6 @@ from .simulated import RenderedRig
 
 logger = logging.getLogger(__name__)
 
-EMULATOR_PORT = "emulator"
-"""``stage.port`` that starts the emulated controller instead of opening a port."""
 _LIMIT_AT = -300
 _LAMP_S = 2.0
 
@@ -52,23 +48,15 @@ class PairedEdges:
         self._lock = threading.Lock()
         self._edges: deque[tuple[TriggerEdge, bool]] = deque()
         self._reported: deque[Triggered] = deque()
-        self._record: IO[str] | None = None
+        self._record: Path | None = None
         self.differences = 0
         """Shots whose counted and true position differed."""
 
     def record_to(self, path: Path | None) -> None:
-        """Write every pair to this file from now on."""
+        """Write every pair to this file from now on, each at once; None: to no file."""
         with self._lock:
-            if self._record is not None:
-                with suppress(OSError):
-                    self._record.close()
-                self._record = None
-            if path is None:
-                return
-            try:
-                self._record = path.open("w", encoding="utf-8", buffering=1)
-            except OSError as error:
-                logger.error("no record of the pins: %s", error)  # noqa: TRY400
+            self._record = path
+            self._write("", "w")
 
     def edge(self, edge: TriggerEdge, *, delivered: bool) -> None:
         """TRIGGER rose; ``delivered`` is False where an injected fault loses it on its way to the camera."""
@@ -93,29 +81,29 @@ class PairedEdges:
             (edge, delivered), event = self._edges.popleft(), self._reported.popleft()
             position_steps = edge.position_steps - self._zero_at
             self.differences += position_steps != event.position_steps
-            if self._record is not None:
-                pair = {
-                    "trigger_id": event.trigger_id,
-                    "counted_steps": event.position_steps,
-                    "true_steps": position_steps,
-                    "counted_cycles": event.trigger_cycles,
-                    "true_cycles": edge.cycles,
-                    "delivered": delivered,
-                }
-                self._note(self._record, json.dumps(pair) + "\n")
+            pair = {
+                "trigger_id": event.trigger_id,
+                "counted_steps": event.position_steps,
+                "true_steps": position_steps,
+                "counted_cycles": event.trigger_cycles,
+                "true_cycles": edge.cycles,
+                "delivered": delivered,
+            }
+            self._write(json.dumps(pair) + "\n", "a")
             if delivered:
                 half_way = 0.0 if event.position_um is None else event.position_um / self._um - event.position_steps
                 self._expose(position_steps + half_way, event.at_mono_ns, 2 * abs(half_way), event.fired_ns)
 
-    def _note(self, record: IO[str], line: str) -> None:
+    def _write(self, text: str, mode: str) -> None:
         """A full disk ends the record, not the serial session, in whose thread this runs."""
+        if self._record is None:
+            return
         try:
-            record.write(line)
+            with self._record.open(mode, encoding="utf-8") as record:
+                record.write(text)
         except OSError as error:
-            logger.error("no record of the pins any more: %s", error)  # noqa: TRY400
+            logger.error("the record of the pins ends: %s", error)  # noqa: TRY400
             self._record = None
-            with suppress(OSError):
-                record.close()
 
 
 class TwinStage(UnoStage):
