@@ -270,7 +270,7 @@ def test_a_bent_cloud_is_opened_as_it_is_or_refused_in_one_line(tmp_path):
     from plyfile import PlyData, PlyElement
 
     from process.cloud.ply import VERTEX, read_vertices
-    from process.viewer.exports.results_list import ScanEntry, open_scan
+    from process.viewer.exports.results_list import ListedScan, open_scan
 
     path, source = tmp_path / "cloud.ply", random.Random(5)
     PlyData([PlyElement.describe(np.zeros(50, VERTEX), "vertex")], byte_order="<").write(str(path))
@@ -278,7 +278,7 @@ def test_a_bent_cloud_is_opened_as_it_is_or_refused_in_one_line(tmp_path):
     bent = [*(header.encode("latin-1") for header in PLY_HEADERS), *(_bent(source, whole) for _ in range(300))]
     for raw in bent:
         path.write_bytes(raw)
-        for opened in (lambda: read_vertices(path, instead=""), lambda: open_scan(ScanEntry(tmp_path, "x", "", None))):
+        for opened in (lambda: read_vertices(path, instead=""), lambda: open_scan(ListedScan(tmp_path, "x", "", None))):
             try:
                 opened()
             except SweepscopeError as error:

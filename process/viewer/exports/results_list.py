@@ -21,7 +21,7 @@ TILE_POINTS = 6_000
 
 
 @dataclass(frozen=True)
-class ScanEntry:
+class ListedScan:
     """One scan with a cloud."""
 
     folder: Path
@@ -43,11 +43,11 @@ class ScanEntry:
 class OpenedScan:
     """A scan that is shown instead of the rig's."""
 
-    entry: ScanEntry
+    entry: ListedScan
     tiles: dict[int, Tile]
 
 
-def list_scans(data_dir: Path) -> list[ScanEntry]:
+def list_scans(data_dir: Path) -> list[ListedScan]:
     """Scans that have a cloud, newest first; what cannot be read is left out."""
     try:
         folders = sorted((path for path in data_dir.iterdir() if path.is_dir()), key=lambda path: path.name)
@@ -57,9 +57,9 @@ def list_scans(data_dir: Path) -> list[ScanEntry]:
     return [_entry(folder) for folder in reversed(with_cloud[-MOST_LISTED:])]
 
 
-def _entry(folder: Path) -> ScanEntry:
+def _entry(folder: Path) -> ListedScan:
     report = find_report(folder)
-    return ScanEntry(folder, folder.name, report.outcome if report else "", report.points if report else None)
+    return ListedScan(folder, folder.name, report.outcome if report else "", report.points if report else None)
 
 
 def facts_of(folder: Path | None) -> list[tuple[str, str]]:
@@ -73,7 +73,7 @@ def facts_of(folder: Path | None) -> list[tuple[str, str]]:
     return [*facts, ("Digest", report.digest[:16])] if report.digest else facts
 
 
-def open_scan(entry: ScanEntry) -> OpenedScan:
+def open_scan(entry: ListedScan) -> OpenedScan:
     """Read a scan to show it.
 
     Raises:

@@ -17,7 +17,7 @@ from acquire.contract.errors import SweepscopeError
 from acquire.contract.states import Outcome
 from acquire.contract.units import NS_PER_S
 from process.viewer.exports.files import file_of, report_of, screenshot_of
-from process.viewer.exports.results_list import OpenedScan, ScanEntry, facts_of, list_scans, open_scan, read_tiles
+from process.viewer.exports.results_list import ListedScan, OpenedScan, facts_of, list_scans, open_scan, read_tiles
 from process.viewer.exports.shown_cloud import ShownCloud
 from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot
@@ -41,7 +41,7 @@ class ScansPanel:
         self._streams = streams
         self._jobs = JobQueue(wake)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="viewer-files")
-        self._entries: dict[str, ScanEntry] = {}
+        self._entries: dict[str, ListedScan] = {}
         self._wanted = LIVE
         self._list_ns = 0
         self._followed = ""
@@ -99,7 +99,7 @@ class ScansPanel:
         entries = list_scans(self._data_dir)
         self._jobs.put(lambda: self._offer(entries))
 
-    def _read(self, label: str, entry: ScanEntry) -> None:
+    def _read(self, label: str, entry: ListedScan) -> None:
         try:
             opened = open_scan(entry)
         except (SweepscopeError, MemoryError) as error:
@@ -159,7 +159,7 @@ class ScansPanel:
         self.shown.show(opened)
         self._say("")
 
-    def _offer(self, entries: list[ScanEntry]) -> None:
+    def _offer(self, entries: list[ListedScan]) -> None:
         self._entries = {entry.label: entry for entry in entries}
         if self._wanted != LIVE and self._wanted not in self._entries and self.shown.opened is not None:
             shown = [label for label, entry in self._entries.items() if entry.folder == self.shown.folder]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acquire.contract.messaging.messages import ResultEnd, Status
-from process.viewer.exports.results_list import OpenedScan, ScanEntry
+from process.viewer.exports.results_list import ListedScan, OpenedScan
 from process.viewer.panels.shown_scan import ShownScan
 from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import Tile
@@ -24,7 +24,7 @@ def tile(count: int = 1) -> Tile:
     )
 
 
-OLD = OpenedScan(ScanEntry(Path("/data/20260101T000000Z-old"), "20260101T000000Z-old", "complete", 3), {7: tile(3)})
+OLD = OpenedScan(ListedScan(Path("/data/20260101T000000Z-old"), "20260101T000000Z-old", "complete", 3), {7: tile(3)})
 
 
 @pytest.fixture
