@@ -13,11 +13,10 @@ from acquire.contract.states import outcome_words
 
 from .final_maps import new_fold
 from .fold_cursor import FoldCursor
-from .result_files import ResultPaths
 from .scan_frames import ScanFrames
 from .settings import ReconstructOptions, recorded_in, settle
 from .timings import Timings
-from .write import Results, write_results
+from .write import ResultPaths, Results, write_results
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames of the plan)."""

@@ -38,7 +38,6 @@ from process.edge_fit.noise_model import ROUNDING_VARIANCE, NoiseModel
 from process.edge_fit.refine import Refined
 
 from .fold_cursor import CursorCounts
-from .result_files import ResultPaths
 from .scan_frames import ScanFrames
 from .settings import Settings
 
@@ -67,7 +66,7 @@ def make_report(
     refined: Refined,
     cloud: PointCloud | None,
     *,
-    paths: ResultPaths,
+    cloud_path: Path,
     outcome: str,
     digest: str,
     checks: SweepChecks,
@@ -95,7 +94,7 @@ def make_report(
         warnings=[
             *settings.warnings,
             *damage_warnings(frames.damaged),
-            *(no_cloud_warnings(settings, paths.cloud) if cloud is None else ()),
+            *(no_cloud_warnings(settings, cloud_path) if cloud is None else ()),
             *age_warnings(settings, calibration),
             *quality_warnings(maps.counts, noise, shadow=settings.edge == "falling"),
             *light_warnings(other_light, maps.counts),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,9 @@ from typing import Any
 import msgspec
 from numpy.typing import NDArray
 
-from acquire.contract.errors import ScanFileError
+from acquire.contract.errors import ScanFileError, SweepscopeError
+from acquire.contract.files import replace_file
+from acquire.contract.scan_data.dataset_names import CLOUD_NAME, MAPS_NAME, REPORT_NAME
 from acquire.contract.scan_data.maps_file import MAPS, MapsHeader, read_maps, write_maps
 from acquire.contract.scan_data.report_file import Report, SweepChecks, read_report, report_bytes
 from acquire.contract.states import SEALED_OUTCOMES
@@ -21,13 +24,38 @@ from process.edge_fit.early_estimates import EarlyEstimates
 from .final_maps import cloud_of, final_maps
 from .fold_cursor import FoldCursor
 from .report import find_truth, frame_counts, make_report
-from .result_files import ResultPaths, write_result
 from .scan_frames import ScanFrames
 from .settings import Settings
 from .timings import Timings
 
 _MAP_FIELDS = {"min": "minimum", "max": "maximum"}
 """Datasets of maps.h5 whose name differs from the field of ``Maps``."""
+
+
+class ResultWriteError(SweepscopeError):
+    """A result could not be written; what was there before is untouched."""
+
+
+@dataclass(frozen=True)
+class ResultPaths:
+    """The files of a scan's results."""
+
+    folder: Path
+
+    @property
+    def maps(self) -> Path:
+        """maps.h5."""
+        return self.folder / MAPS_NAME
+
+    @property
+    def cloud(self) -> Path:
+        """cloud.ply."""
+        return self.folder / CLOUD_NAME
+
+    @property
+    def report(self) -> Path:
+        """report.json."""
+        return self.folder / REPORT_NAME
 
 
 @dataclass(frozen=True)
@@ -92,7 +120,7 @@ def write_results(
             cursor.counts,
             refined,
             cloud,
-            paths=paths,
+            cloud_path=paths.cloud,
             outcome=outcome,
             digest=digest,
             checks=checks or SweepChecks(),
@@ -144,3 +172,18 @@ def refresh_report(
     if report != old:
         write_result(results.paths.report, report_bytes(report))
     return report
+
+
+def write_result(path: Path, content: bytes | Callable[[Path], object]) -> None:
+    """Replace a result; it is not synced to disk, because it can be made again from the scan.
+
+    Raises:
+        ResultWriteError: the folder is missing, full or not writable.
+    """
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        why = error.strerror or str(error).splitlines()[0]
+        raise ResultWriteError(
+            f"cannot write {path}: {why}; the scan is safe, make room or choose another folder with --out"
+        ) from None

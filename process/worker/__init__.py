@@ -1,1 +1,1 @@
-"""The worker: live reconstruction."""
+"""The worker process: live reconstruction of the running scan, from frames to points, maps and report."""

@@ -1,4 +1,4 @@
-"""Owns the look at a fold in mid-sweep: the points so far, and which of them may still move."""
+"""The points of a sweep that still runs, and which of them may still move."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SETTLED_AFTER_FRAMES = 20
 
 
 @dataclass(frozen=True)
-class ShownCounts:
-    """The numbers beside the picture."""
+class PointCounts:
+    """Numbers of pixels and points for the progress message."""
 
     over_contrast: int = 0
     settled: int = 0
@@ -27,19 +27,23 @@ class ShownCounts:
 
 
 @dataclass(frozen=True)
-class Preview:
-    """Points as they are in mid-sweep."""
+class ProvisionalCloud:
+    """Points and maps of the frames folded so far."""
 
+    maps: Maps
     cloud: PointCloud | None
     """None without a light plane."""
     provisional: NDArray[np.bool_]
     """[n], True while the point's pixel may still get brighter."""
-    counts: ShownCounts
-    maps: Maps | None = None
-    """What the points were made of; None once that is on disk."""
+
+    @property
+    def counts(self) -> PointCounts:
+        """Settled and provisional points, and pixels over the contrast."""
+        moving = int(self.provisional.sum())
+        return PointCounts(self.maps.counts["over_contrast"], len(self.provisional) - moving, moving)
 
 
-def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np.float64]) -> Preview:
+def provisional_cloud(cursor: FoldCursor, settings: Settings, position_um: NDArray[np.float64]) -> ProvisionalCloud:
     """The points of the frames folded so far (at least one); the fold can go on afterwards.
 
     Pixels that need the scan file are left to the end.
@@ -50,7 +54,4 @@ def make_preview(cursor: FoldCursor, settings: Settings, position_um: NDArray[np
     if cloud is not None:
         age = cursor.fold.folded_through - maps.last_maximum.ravel()[cloud.pixels]
         provisional = (age < SETTLED_AFTER_FRAMES) & (not cursor.done)
-    moving = int(provisional.sum())
-    return Preview(
-        cloud, provisional, ShownCounts(maps.counts["over_contrast"], len(provisional) - moving, moving), maps
-    )
+    return ProvisionalCloud(maps, cloud, provisional)

@@ -1,18 +1,20 @@
-"""Owns what the worker knows of a scan before its first frame, and what it needs to fold it: settings and memory."""
+"""What the rig says of a scan: before its first frame, and at its end. Settings and memory follow from it."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError, ConfigError, ScanFileError, SweepscopeError
-from acquire.contract.messaging.messages import FrameFormat, Start
+from acquire.contract.messaging.messages import End, FrameFormat, FrameRange, Start
 from acquire.contract.scan_data.file_layout import zero_id_in
+from acquire.contract.scan_data.report_file import SweepChecks
+from acquire.contract.states import SEALED_OUTCOMES, Outcome
 from acquire.contract.units import format_bytes
 from process.edge_fit.early_estimates import EarlyEstimates
 from process.fold.fold import Fold
@@ -27,7 +29,7 @@ class ScanRefusedError(SweepscopeError):
 
 
 @dataclass(frozen=True)
-class Announced:
+class ScanDescription:
     """A scan as the start message, or the file after a late start, describes it."""
 
     scan_uid: str
@@ -36,6 +38,23 @@ class Announced:
     """Frames of the plan."""
     recorded: Recorded
 
+    @classmethod
+    def of_start(cls, start: Start) -> ScanDescription:
+        """The scan that a start message begins."""
+        zero_id = zero_id_in(start.versions_json)
+        recorded = Recorded(start.format, start.plan, start.config_toml, start.calibration_json, zero_id)
+        return cls(start.scan_uid, Path(start.path), start.plan.count, recorded)
+
+    @classmethod
+    def of_file(cls, frames: ScanFrames) -> ScanDescription:
+        """The scan in a file that exists already.
+
+        Raises:
+            ScanFileError: what it recorded cannot be read.
+        """
+        layout = frames.layout
+        return cls(layout.scan_uid, layout.path.parent, layout.count, recorded_in(layout))
+
     @property
     def planned_positions_um(self) -> NDArray[np.float64]:
         """Where the frames should be taken, [n]; NaN without a plan."""
@@ -43,22 +62,31 @@ class Announced:
         return np.full(self.count, np.nan) if plan is None else plan.positions_um().astype(np.float64)
 
 
-def announced_by_start(start: Start) -> Announced:
-    """The scan that a start message begins."""
-    recorded = Recorded(
-        start.format, start.plan, start.config_toml, start.calibration_json, zero_id_in(start.versions_json)
-    )
-    return Announced(start.scan_uid, Path(start.path), start.plan.count, recorded)
+@dataclass(frozen=True)
+class ScanEnd:
+    """How a scan ended; ``running`` before the rig said so."""
 
+    outcome: str = Outcome.RUNNING.value
+    missing: tuple[FrameRange, ...] = ()
+    """Frame ranges [first, last] that were never taken, both ends included."""
+    checks: SweepChecks = field(default_factory=SweepChecks)
 
-def announced_by_file(frames: ScanFrames) -> Announced:
-    """The scan in a file that exists already.
+    @classmethod
+    def of_message(cls, end: End) -> ScanEnd:
+        """From the end message."""
+        return cls(end.outcome.value, tuple(end.missing), SweepChecks.of(end.checks))
 
-    Raises:
-        ScanFileError: what it recorded cannot be read.
-    """
-    layout = frames.layout
-    return Announced(layout.scan_uid, layout.path.parent, layout.count, recorded_in(layout))
+    def never_coming(self, count: int, file_outcome: str) -> NDArray[np.bool_] | None:
+        """Frames that will not be committed any more, [count]; None while the scan runs.
+
+        They are those named missing, and all of them once the file is sealed.
+        """
+        if self.outcome not in SEALED_OUTCOMES:
+            return None
+        never = np.full(count, file_outcome in SEALED_OUTCOMES)
+        for first, last in self.missing:
+            never[first : last + 1] = True
+        return never
 
 
 def live_settings(recorded: Recorded) -> Settings:

@@ -59,13 +59,22 @@ def bind(context: zmq.Context[Any], kind: int, run_dir: Path, lane: str) -> zmq.
 
 
 def connect(
-    context: zmq.Context[Any], kind: int, run_dir: Path, lane: str, *, immediate: bool = False
+    context: zmq.Context[Any],
+    kind: int,
+    run_dir: Path,
+    lane: str,
+    *,
+    immediate: bool = False,
+    queued: int | None = None,
 ) -> zmq.Socket[Any]:
     """A socket connected to the lane's endpoint (which may not exist yet); SUB sockets subscribe to all.
 
-    ``immediate``: nothing is queued for a peer that is not there; sending fails instead.
+    ``immediate``: nothing is queued for a peer that is not there; sending fails instead. ``queued``: messages that
+    may wait to be received, None as many as the lane has it.
     """
     socket = open_socket(context, kind, lane)
+    if queued is not None:
+        socket.setsockopt(zmq.RCVHWM, queued)
     if kind == zmq.SUB:
         socket.setsockopt(zmq.SUBSCRIBE, b"")
     socket.setsockopt(zmq.IMMEDIATE, immediate)

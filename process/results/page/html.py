@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from acquire.contract.states import outcome_words
 from process.html_templates import png_url, render
-from process.results.result_files import write_result
+from process.results.write import write_result
 
 from .figures import contrast_picture, crossing_picture, histogram_picture, section_picture, two_digits
 from .load import ScanResults

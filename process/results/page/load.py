@@ -15,7 +15,7 @@ from acquire.contract.scan_data.maps_file import read_maps
 from acquire.contract.scan_data.report_file import Report, read_report
 from process.cloud.cloud import LEFT_OUT
 from process.cloud.ply import read_vertices
-from process.results.result_files import ResultPaths
+from process.results.write import ResultPaths
 
 MAKE_THEM = "make the results again with 'sweepscope reconstruct'"
 

@@ -19,8 +19,8 @@ from process.results.page.figures import two_digits
 from process.results.page.html import assess, page, write_page
 from process.results.page.load import ScanResults, read_results
 from process.results.reconstruct import reconstruct
-from process.results.result_files import ResultWriteError
 from process.results.settings import ReconstructOptions
+from process.results.write import ResultWriteError
 from tests.fakes.processes.sweep_source import calibration_json, edge_frames
 from tui.cli import run
 

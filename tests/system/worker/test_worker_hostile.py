@@ -11,8 +11,8 @@ import pytest
 
 from acquire.contract.config.load import load_config
 from acquire.contract.messaging.codec import encode
-from process.results.result_files import ResultWriteError
-from process.worker import session as session_module
+from process.results.write import ResultWriteError
+from process.worker import live_scan
 from process.worker.service import Worker
 from tests.fakes.processes.sweep_source import SweepSource, edge_frames
 from tests.waiting import wait_for
@@ -74,8 +74,7 @@ def fold_a_scan(worker: Worker, source: SweepSource) -> None:
 
     def finished() -> bool:
         worker.turn()
-        session = worker.session
-        return session is not None and session.announced.scan_uid == source.scan_uid and session.end_said
+        return worker.publisher.end is not None and worker.publisher.end.scan_uid == source.scan_uid
 
     wait_for(finished, "a whole scan after all that")
 
@@ -87,11 +86,11 @@ def test_broken_messages_of_every_kind_are_counted_and_the_next_scan_is_whole(wo
         worker.turn()
     assert worker.malformed - before > 100
     fold_a_scan(worker, source)
-    assert worker.session is not None and worker.session.cursor.folded.all()
+    assert worker.scan is not None and worker.scan.cursor.folded.all()
 
 
-def test_a_disk_that_is_full_for_a_while_delays_the_results_and_is_said(worker, source, monkeypatch):
-    write, refusals = session_module.write_results, [1, 1]
+def test_a_disk_that_is_full_for_a_while_delays_the_results_and_is_said(worker, source, monkeypatch, caplog):
+    write, refusals = live_scan.write_results, [1, 1]
 
     def full(*args, **options):
         if refusals:
@@ -99,18 +98,15 @@ def test_a_disk_that_is_full_for_a_while_delays_the_results_and_is_said(worker, 
             raise ResultWriteError("cannot write maps.h5: No space left on device")
         return write(*args, **options)
 
-    monkeypatch.setattr(session_module, "write_results", full)
+    monkeypatch.setattr(live_scan, "write_results", full)
     monkeypatch.setattr("process.worker.service.RETRY_NS", 1_000_000)
-    said: list[str] = []
-    fail = worker._fail
-    monkeypatch.setattr(worker, "_fail", lambda session, why: (said.append(why), fail(session, why)))
     fold_a_scan(worker, source)
-    assert len(said) == 2 and "No space left" in said[0]
+    assert caplog.text.count("no maps: cannot write maps.h5: No space left on device; the scan is safe") == 2
     assert (source.folder / "maps.h5").is_file()
 
 
 def test_a_worker_that_meets_a_bug_goes_on_and_folds_again(worker, source, monkeypatch):
-    write, bugs = session_module.write_results, [1]
+    write, bugs = live_scan.write_results, [1]
 
     def buggy(*args, **options):
         if bugs:
@@ -118,7 +114,7 @@ def test_a_worker_that_meets_a_bug_goes_on_and_folds_again(worker, source, monke
             raise ZeroDivisionError("a bug")
         return write(*args, **options)
 
-    monkeypatch.setattr(session_module, "write_results", buggy)
+    monkeypatch.setattr(live_scan, "write_results", buggy)
     monkeypatch.setattr("process.worker.service.RETRY_NS", 1_000_000)
     fold_a_scan(worker, source)
-    assert worker.session is not None and worker.session.cursor.counts.refolded == FRAMES
+    assert worker.scan is not None and worker.scan.cursor.counts.refolded == FRAMES

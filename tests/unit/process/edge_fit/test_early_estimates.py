@@ -24,7 +24,7 @@ from process.results.final_maps import new_fold
 from process.results.fold_cursor import FoldCursor
 from process.results.scan_frames import ScanFrames
 from process.results.settings import ReconstructOptions, recorded_in, settle
-from process.worker.fit_ahead import Ahead
+from process.worker.early_fits import EarlyFits
 from tests.fakes.processes.sweep_source import edge_frames
 
 FRAMES, SHAPE = 320, (24, 32)
@@ -152,7 +152,7 @@ def test_frames_read_one_over_the_other_are_those_read_alone(colour_scan):
         assert frames.frame(0, int(frames.crc32()[1]), room) is None and frames.damaged == {0}
 
 
-def test_work_ahead_stops_where_the_file_was_cut_short(colour_scan, tmp_path, caplog):
+def test_early_fits_stop_where_the_file_was_cut_short(colour_scan, tmp_path, caplog):
     cut = tmp_path / "scan.h5"
     cut.write_bytes((colour_scan / "scan.h5").read_bytes())
     with ScanFrames(cut) as frames:
@@ -160,13 +160,13 @@ def test_work_ahead_stops_where_the_file_was_cut_short(colour_scan, tmp_path, ca
         cursor = FoldCursor(lambda: new_fold(settings, frames.layout.format, frames.count), frames.count, 0)
         cursor.fill(frames, limit=40)
         maps = cursor.fold.result(contrast=30, median=0, noise_counts=2.0, read_columns=None)
-        ahead = Ahead(settings, frames.layout.format)
-        ahead.propose(maps, cursor, frames)
-        assert ahead.busy
+        early = EarlyFits(settings, frames.layout.format)
+        early.propose(maps, cursor.fold.present, frames)
+        assert early.busy
         with cut.open("r+b") as file:
             file.truncate(cut.stat().st_size // 2)
-        ahead.work(cursor)
-        assert not ahead.busy and ahead.estimates(cursor) is None and "cut short" in caplog.text
+        early.work()
+        assert not early.busy and early.estimates is None and "cut short" in caplog.text
 
 
 def test_the_complement_of_a_falling_edge_is_told_from_the_full_scale():

@@ -4,91 +4,84 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
-import zmq
+from msgspec.structs import replace
 
 from acquire.contract.config.load import load_config
-from process.worker import service as worker_module
+from process.worker import live_scan
+from process.worker.live_scan import LiveScan
 from process.worker.service import FILE_WAIT_MS, Worker
+from tests.fakes.processes.sweep_source import SweepSource, edge_frames
+from tests.waiting import wait_for
 
-
-class BehindScan:
-    """Stands for a scan whose fold is behind: its file gives so many frames, one number for each time it is asked."""
-
-    failure, results, lag_frames = "", None, 1000
-    cursor = SimpleNamespace(done=False)
-
-    def __init__(self, *given: int) -> None:
-        self.given = list(given)
-        self.done: list[str] = []
-
-    @property
-    def behind(self) -> bool:
-        return bool(self.given)
-
-    wants_file = behind
-    may_work_ahead = True
-
-    def fill(self) -> int:
-        self.done.append("fill")
-        return self.given.pop(0)
-
-    def work_ahead(self) -> None:
-        self.done.append("ahead")
-
-    def ready_to_finish(self) -> bool:
-        return False
-
-
-class QuietOutbox:
-    wants_preview = False
-
-    def preview_due(self, now_ns: int, lag_frames: int) -> bool:
-        return False
-
-    def progress_due(self, now_ns: int, *, news: bool) -> bool:
-        return False
+FRAMES, WIDTH, HEIGHT = 120, 64, 48
+SHOWN = 90
+"""Frames that come live before the live lane loses the rest; enough to estimate from."""
 
 
 @pytest.fixture
-def patience_ms(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How long the worker was ready to wait, turn by turn."""
-    asked: list[int] = []
-
-    class Poller:
-        def register(self, *_: Any) -> None: ...
-
-        def poll(self, timeout_ms: int) -> list[Any]:
-            asked.append(timeout_ms)
-            return []
-
-    monkeypatch.setattr(worker_module.zmq, "Poller", Poller)
-    return asked
-
-
-@pytest.fixture
-def worker(run_dir: Path, patience_ms: list[int]) -> Iterator[Worker]:
-    context: zmq.Context[Any] = zmq.Context()
-    made = Worker(load_config(environ={}), run_dir, context)
-    made.outbox = QuietOutbox()  # type: ignore[assignment]
+def source(run_dir: Path, tmp_path: Path) -> Iterator[SweepSource]:
+    made = SweepSource(run_dir, tmp_path / "scan", edge_frames(FRAMES, WIDTH, HEIGHT))
+    toml = "[reconstruct]\ncontrast = 60\nmedian = 3\nmethod = 'auto'\n"
+    made.start_message = replace(made.start_message, config_toml=toml)
     yield made
-    made.session = None
     made.close()
-    context.term()
 
 
-def test_no_estimate_is_made_ahead_while_frames_wait_to_be_folded(worker):
-    worker.session = scan = BehindScan(20, 20, 0, 5)
-    for _ in range(4):
+@pytest.fixture
+def worker(source: SweepSource, monkeypatch: pytest.MonkeyPatch) -> Iterator[Worker]:
+    """A worker that reads one frame of a file at a time, with a scan that was announced."""
+    monkeypatch.setattr(live_scan, "FILE_BYTES_AT_ONCE", 1)
+    made = Worker(load_config(environ={}), source.run_dir, source.context)
+    source.create()
+
+    def begun() -> bool:
+        source.announce()
+        made.turn()
+        return made.scan is not None
+
+    wait_for(begun, "the worker takes the scan")
+    yield made
+    made.close()
+
+
+def turn_until(worker: Worker, condition) -> None:
+    wait_for(lambda: (worker.turn(), condition())[1], "the worker gets on")
+
+
+def lose(source: SweepSource, frames: range) -> None:
+    """Frames that the live lane loses, all but the last of them."""
+    for index in frames:
+        source.take(index, live=index == frames[-1])
+
+
+def test_no_estimate_is_made_early_while_frames_wait_to_be_folded(worker, source, monkeypatch):
+    fit_early, was_behind = LiveScan.fit_early, []
+
+    def recorded(scan: LiveScan) -> None:
+        was_behind.append(scan.lag_frames > 0)
+        fit_early(scan)
+
+    monkeypatch.setattr(LiveScan, "fit_early", recorded)
+    for index in range(SHOWN):
+        source.take(index)
+    turn_until(worker, lambda: worker.scan.may_fit_early)
+    was_behind.clear()
+    lose(source, range(SHOWN, FRAMES - 1))
+    turn_until(worker, lambda: worker.scan.cursor.next_index == FRAMES - 1 and was_behind)
+    assert worker.scan.cursor.counts.from_file > 20 and not any(was_behind)
+
+
+def test_nothing_is_waited_for_while_the_file_has_frames(worker, source):
+    source.send_live(40)
+    turn_until(worker, lambda: worker.scan.lag_frames)
+    worker.turn()
+    assert worker.patience_ms() == FILE_WAIT_MS, "the frames before it are not in the file yet"
+    for index in range(40):
+        source.commit(index)
+    patience = []
+    while worker.scan.lag_frames:
         worker.turn()
-    assert scan.done == ["fill", "fill", "fill", "fill", "ahead"]
-
-
-def test_nothing_is_waited_for_while_the_file_has_frames(worker, patience_ms):
-    worker.session = BehindScan(20, 20, 0, 5)
-    for _ in range(4):
-        worker.turn()
-    assert patience_ms == [FILE_WAIT_MS, 0, 0, FILE_WAIT_MS]
+        patience.append(worker.patience_ms())
+    assert len(patience) > 30 and set(patience[:-1]) == {0}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from process.results.result_files import ResultWriteError, write_result
+from process.results.write import ResultWriteError, write_result
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_temporary_one(tmp_path: Path) -> None:
