@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -89,8 +90,8 @@ def console(
     from tui.console.app import run_console
     from tui.console.options import options_for
 
-    options = options_for(
-        config,
+    options = dataclasses.replace(
+        options_for(config),
         ascii_only=ascii_only,
         read_only=read_only,
         mouse=mouse,

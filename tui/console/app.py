@@ -63,8 +63,7 @@ class ConsoleApp(App[None]):
     TITLE = "sweepscope"
     ENABLE_COMMAND_PALETTE = False
     CSS = """
-    .ascii PicturePane, .ascii LogTail, .ascii StagePane, .ascii LightPane, .ascii PlanPane, .ascii ProgressPane,
-    .ascii .pane, .ascii Dialog > Vertical { border: ascii $primary 60%; }
+    .ascii PicturePane, .ascii Pane, .ascii Dialog > Vertical { border: ascii $primary 60%; }
     """
     BINDINGS = [*BINDINGS]
 

@@ -1,4 +1,4 @@
-"""How a console is started: from the command line, the configuration and the terminal."""
+"""How a console is started: from the configuration, the command line and the terminal."""
 
 from __future__ import annotations
 
@@ -37,25 +37,10 @@ class ConsoleOptions:
     """``half``, ``mono`` or ``off``."""
 
 
-def options_for(
-    config: LoadedConfig,
-    *,
-    ascii_only: bool = False,
-    read_only: bool = False,
-    owns_rig: bool = False,
-    mouse: bool = False,
-    picture: str = "half",
-    theme: str = "sweepscope-dark",
-) -> ConsoleOptions:
-    """The options of this user's console on the rig of ``config``."""
+def options_for(config: LoadedConfig) -> ConsoleOptions:
+    """The options of this user's console on the rig of ``config``; flags of the command line come on top."""
     return ConsoleOptions(
-        ascii_only=ascii_only,
-        read_only=read_only,
-        owns_rig=owns_rig,
         me=my_name(),
         draft=ScanDraft.of_config(config.rig, operator=user_name()),
-        mouse=mouse,
-        picture=picture,
-        theme=theme,
         data_dir=config.data_dir,
     )

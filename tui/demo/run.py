@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import threading
 import time
@@ -178,7 +179,7 @@ def _run_on_terminal(options: DemoOptions) -> int:
 
     # nothing is printed before the console starts: stderr is where it draws
     with DemoRig(options, lambda _text: None) as rig:
-        console = options_for(rig.config, owns_rig=True, picture=picture)
+        console = dataclasses.replace(options_for(rig.config), owns_rig=True, picture=picture)
         status = run_console(console, run_dir=rig.run_dir, on_started=begin)
         say("ending daemon, writer, worker and viewer")
         if background is not None:

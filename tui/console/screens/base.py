@@ -55,7 +55,7 @@ class RigScreenBase(Screen[None]):
         super().__init__()
         self.shell = shell
         self._header = Header(self.NAME, read_only=shell.options.read_only)
-        self._banner, self._last_line, self._key_line = FaultBanner(), LogLastLine(), KeyLine()
+        self._banner, self._last_line, self._key_line = FaultBanner(()), LogLastLine(None), KeyLine(())
         self.own_bindings = list(Binding.make_bindings(self.BINDINGS))
         """One binding per key."""
         self._own = frozenset(action_name(binding.action) for binding in self.own_bindings)

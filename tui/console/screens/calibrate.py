@@ -58,7 +58,7 @@ class CalibrateScreen(CameraScreen):
     ]
     DEFAULT_CSS = """
     CalibrateScreen #panes { height: 1fr; }
-    CalibrateScreen BoardPicture, CalibrateScreen #sweeps { width: 1fr; }
+    CalibrateScreen BoardPicture, CalibrateScreen RowList { width: 1fr; }
     CalibrateScreen GuidePane { width: 38; }
     CalibrateScreen.wide GuidePane { width: 60; }
     """
@@ -66,10 +66,10 @@ class CalibrateScreen(CameraScreen):
     def __init__(self, shell: Shell) -> None:
         super().__init__(shell)
         self._picture = BoardPicture("mono" if shell.options.ascii_only else "half")
-        self._list = RowList(id="sweeps", empty="no calibration sweep yet: w takes one")
+        self._list = RowList(empty="no calibration sweep yet: w takes one")
         self._list.border_title = "sweeps over the board"
-        self._guide = GuidePane()
-        self._job_lines = JobLines()
+        self._guide = GuidePane(GuideView())
+        self._job_lines = JobLines(())
         self._scans = ScanList(self, self._take_scans)
         self._progress = CalibrationProgress(shell.options.data_dir)
         self._watch = BoardWatch(self.jobs, lambda: self.show_all(self.view))

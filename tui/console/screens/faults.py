@@ -21,11 +21,8 @@ from tui.text.width import shorten
 class FaultDetail(Pane[LoggedFault | None]):
     """One fault in full."""
 
+    BORDER_TITLE = "the chosen fault"
     DEFAULT_CSS = "FaultDetail { height: 9; }"
-
-    def __init__(self) -> None:
-        super().__init__(None, id="fault-detail")
-        self.border_title = "the chosen fault"
 
     def text_for(self, width: int) -> Text:
         """What happened, what is safe, what to do, when, acknowledged or not."""
@@ -63,8 +60,8 @@ class FaultsScreen(RigScreenBase):
 
     def __init__(self, shell: Shell) -> None:
         super().__init__(shell)
-        self._list = RowList(id="faults", empty="no fault in this session")
-        self._detail = FaultDetail()
+        self._list = RowList(empty="no fault in this session")
+        self._detail = FaultDetail(None)
         self._faults: list[LoggedFault] = []
 
     def body(self) -> ComposeResult:

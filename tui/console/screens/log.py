@@ -43,7 +43,7 @@ class LogScreen(RigScreenBase):
 
     def __init__(self, shell: Shell) -> None:
         super().__init__(shell)
-        self._log = LogPane()
+        self._log = LogPane(())
         self._level, self._text = 0, ""
 
     def body(self) -> ComposeResult:

@@ -69,8 +69,8 @@ class ReconstructScreen(RigScreenBase):
         super().__init__(shell)
         self._grid = MapGrid(plain=shell.options.ascii_only)
         self._nothing = Static("", id="nothing", markup=False)
-        self._pane = ContrastPane()
-        self._job_lines = JobLines()
+        self._pane = ContrastPane(ContrastView())
+        self._job_lines = JobLines(())
         self._shown = MapsInView()
         self._method = 0
         self._folder: Path | None = None

@@ -89,8 +89,8 @@ class ScanScreen(CameraScreen):
     ScanScreen #left { width: 1fr; height: 100%; }
     ScanScreen #right { width: 44; height: 100%; }
     ScanScreen.wide #right { width: 54; }
-    ScanScreen #log { height: 5; }
-    ScanScreen.tall #log { height: 8; }
+    ScanScreen LogPane { height: 5; }
+    ScanScreen.tall LogPane { height: 8; }
     ScanScreen.running.short PlanPane { display: none; }
     ScanScreen.resting.short ProgressPane { display: none; }
     """
@@ -100,7 +100,7 @@ class ScanScreen(CameraScreen):
         self._picture = PicturePane(mode=shell.options.picture)
         self._stage, self._light = StagePane(self.key_of), LightPane(self.key_of)
         self._plan, self._progress = PlanPane(self.key_of), ProgressPane(self.key_of)
-        self._log = LogPane()
+        self._log = LogPane(())
         self._jogging = Jogging(self)
         self._settling: Timer | None = None
         self._estimated: tuple[ScanDraft, float | None] | None = None

@@ -64,9 +64,9 @@ class ScansScreen(RigScreenBase):
 
     def __init__(self, shell: Shell) -> None:
         super().__init__(shell)
-        self._list = RowList(id="scans", empty="reading the folder of scans ...")
-        self._detail = ScanDetail()
-        self._job_lines = JobLines()
+        self._list = RowList(empty="reading the folder of scans ...")
+        self._detail = ScanDetail((None, ""))
+        self._job_lines = JobLines(())
         self._scans = ScanList(self, lambda: self.show_all(self.view))
         self._last: dict[str, str] = {}
         """The result of the last work on each scan."""

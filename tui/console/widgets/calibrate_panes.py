@@ -33,9 +33,6 @@ class GuideView:
 class GuidePane(Pane[GuideView]):
     """Goal, coverage, advice, views; after the fit its result."""
 
-    def __init__(self) -> None:
-        super().__init__(GuideView(), id="guide")
-
     def text_for(self, width: int) -> Text:
         """From the goal downwards, as much as there is room for."""
         guide, width = self.shown, max(16, width)

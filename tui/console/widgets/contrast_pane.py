@@ -36,9 +36,6 @@ class ContrastPane(Pane[ContrastView]):
 
     DEFAULT_CSS = "ContrastPane { height: 7; }"
 
-    def __init__(self) -> None:
-        super().__init__(ContrastView(), id="contrast")
-
     def show(self, value: ContrastView) -> None:
         """Take the newest values."""
         self.border_title = shorten(value.source, max(10, self.size.width - 8)) or "no maps"

@@ -50,7 +50,7 @@ class Header(Lines[RigView]):
     """
 
     def __init__(self, screen_name: str, *, read_only: bool) -> None:
-        super().__init__(RigView(), id="title")
+        super().__init__(RigView())
         self._screen_name, self._read_only = screen_name, read_only
 
     def show(self, value: RigView) -> None:
@@ -118,9 +118,6 @@ class FaultBanner(Lines[Sequence[FaultReport]]):
     FaultBanner.visible { display: block; }
     """
 
-    def __init__(self) -> None:
-        super().__init__((), id="fault")
-
     def show(self, value: Sequence[FaultReport]) -> None:
         """Show the newest fault that is not acknowledged, or disappear."""
         self.set_class(newest_fault(value) is not None, "visible")
@@ -144,9 +141,6 @@ class LogLastLine(Lines[LogLine | None]):
 
     DEFAULT_CSS = "LogLastLine { height: 1; padding: 0 1; dock: bottom; margin-bottom: 2; }"
 
-    def __init__(self) -> None:
-        super().__init__(None, id="last-line")
-
     def text_for(self, width: int) -> Text:
         """One line."""
         if self.shown is None:
@@ -159,9 +153,6 @@ class KeyLine(Lines[Sequence[Offer]]):
 
     DEFAULT_CSS = "KeyLine { dock: bottom; height: 2; background: $panel; padding: 0 1; }"
     PINNED = "? help   SPACE = STOP"
-
-    def __init__(self) -> None:
-        super().__init__((), id="keys")
 
     def text_for(self, width: int) -> Text:
         """Two lines; the second ends with what is pinned, and before it how many keys found no room."""

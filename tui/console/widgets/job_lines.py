@@ -25,9 +25,6 @@ class JobLines(Lines[Sequence[Job]]):
     JobLines.some { display: block; }
     """
 
-    def __init__(self) -> None:
-        super().__init__((), id="jobs")
-
     def show(self, value: Sequence[Job]) -> None:
         """Take the running jobs."""
         jobs = value[:MAX_LINES]

@@ -24,8 +24,8 @@ class Lines(Widget, Generic[Shown]):
 
     ALLOW_SELECT = False
 
-    def __init__(self, shown: Shown, *, id: str) -> None:  # noqa: A002 - Textual's name
-        super().__init__(id=id)
+    def __init__(self, shown: Shown) -> None:
+        super().__init__()
         self.auto_links = False  # what can be clicked looks as it is written
         self.shown = shown
         self._painted: Text | None = None

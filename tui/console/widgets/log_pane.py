@@ -17,11 +17,9 @@ _MARKS = {"info": "", "warning": "! ", "error": "✖ "}
 class LogPane(Pane[Sequence[LogLine]]):
     """Follows the newest line, unless it was scrolled back."""
 
-    def __init__(self) -> None:
-        super().__init__((), id="log")
-        self.border_title = "log"
-        self.back = 0
-        """Rows between the last one in view and the newest; 0 follows."""
+    BORDER_TITLE = "log"
+    back = 0
+    """Rows between the last one in view and the newest; 0 follows."""
 
     def show(self, value: Sequence[LogLine]) -> None:
         """Take the lines; what is in view stays where it is unless it follows."""

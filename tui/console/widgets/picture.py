@@ -49,7 +49,7 @@ class LivePicture(Widget):
     ALLOW_SELECT = False
 
     def __init__(self, mode: str = "half", *, crosshair: bool = True) -> None:
-        super().__init__(id="live")
+        super().__init__()
         self.mode = mode
         self.words = ""
         self.picture: PictureView | None = None

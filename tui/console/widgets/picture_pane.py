@@ -70,10 +70,10 @@ class PicturePane(Vertical):
     """
 
     def __init__(self, *, mode: str) -> None:
-        super().__init__(id="picture")
+        super().__init__()
         self.border_title = "picture"
         self.live = LivePicture(mode)
-        self._line = PictureLine(PictureNumbers(), id="numbers")
+        self._line = PictureLine(PictureNumbers())
         self._shown: PictureView | None = None
         self._arrived_s = 0.0
         self._sharp = 0.0

@@ -31,8 +31,9 @@ class RowList(Pane[Rows]):
     class Moved(Message):
         """Another row is chosen."""
 
-    def __init__(self, *, id: str, empty: str = "") -> None:  # noqa: A002 - Textual's name
-        super().__init__(Rows(), id=id)
+    def __init__(self, *, empty: str) -> None:
+        """``empty`` is shown while there are no rows."""
+        super().__init__(Rows())
         self._empty = empty
         self._top = 0
         self.cursor = 0

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from rich.text import Text
 
 from acquire.contract.messaging.messages import Status
@@ -24,11 +22,8 @@ NOT_CONNECTED = "not connected"
 class ScanPane(Pane[RigView]):
     """A pane of the scan screen; what was last known is dim while the daemon does not answer."""
 
-    TITLE: ClassVar[str] = ""
-
     def __init__(self, key_of: KeyOf) -> None:
-        super().__init__(RigView(), id=self.TITLE)
-        self.border_title = self.TITLE
+        super().__init__(RigView())
         self._key_of = key_of
 
     def key(self, text: Text, action: str, words: str, style: str = "") -> Text:
@@ -59,7 +54,7 @@ class ScanPane(Pane[RigView]):
 class StagePane(ScanPane):
     """Where the stage is, and how to move it."""
 
-    TITLE = "stage"
+    BORDER_TITLE = "stage"
     DEFAULT_CSS = "StagePane { height: 5; }"
     fine_steps = 3
 
@@ -87,7 +82,7 @@ class StagePane(ScanPane):
 class LightPane(ScanPane):
     """Lamp and camera."""
 
-    TITLE = "light"
+    BORDER_TITLE = "light"
     DEFAULT_CSS = "LightPane { height: 5; }"
 
     def fill(self, text: Text, status: Status, width: int) -> None:
@@ -111,7 +106,7 @@ class LightPane(ScanPane):
 class PlanPane(ScanPane):
     """The sweep that is being prepared."""
 
-    TITLE = "plan"
+    BORDER_TITLE = "plan"
     DEFAULT_CSS = "PlanPane { height: 9; }"
     draft = ScanDraft()
     estimate = Estimate()
@@ -149,7 +144,7 @@ class PlanPane(ScanPane):
 class ProgressPane(ScanPane):
     """The running sweep, or the last one."""
 
-    TITLE = "progress"
+    BORDER_TITLE = "progress"
     DEFAULT_CSS = "ProgressPane { height: 9; }"
 
     def __init__(self, key_of: KeyOf) -> None:

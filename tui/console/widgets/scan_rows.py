@@ -60,9 +60,6 @@ class ScanDetail(Pane[tuple[ScanEntry | None, str]]):
     .wide ScanDetail { height: 12; }
     """
 
-    def __init__(self) -> None:
-        super().__init__((None, ""), id="scan-detail")
-
     def text_for(self, width: int) -> Text:
         """Lines cut to the pane."""
         entry, last_result = self.shown

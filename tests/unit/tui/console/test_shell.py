@@ -37,6 +37,19 @@ def test_number_keys_switch_screens_and_stop_works_on_each():
     play(script)
 
 
+def test_an_ascii_console_paints_nothing_but_ascii_on_any_screen():
+    async def script(stage):
+        await stage.connect(replace(SWEEPING, faults=[FAULT]))
+        for number, entry in enumerate(SCREENS, 1):
+            await stage.press(str(number))
+            others = {sign for sign in stage.painted if not sign.isascii()}
+            assert not others, f"{entry.name}: {others}"
+        await stage.press("question_mark")
+        assert stage.painted.isascii()
+
+    play(script, ascii_only=True)
+
+
 def test_help_is_searched_and_runs_what_was_chosen():
     async def script(stage):
         await stage.connect()
