@@ -25,12 +25,12 @@ class Terminal:
 
     def __init__(self, tmux: str, folder: Path, run_dir: Path) -> None:
         self._tmux = [tmux, "-S", str(folder / "tmux.sock"), "-f", "/dev/null"]
-        self._environ = {**os.environ, "SWEEPSCOPE_RUN": str(run_dir), "TERM": "xterm-256color", "TMUX": ""}
-        self._environ.pop("TMUX")
+        self.environ = {**os.environ, "SWEEPSCOPE_RUN": str(run_dir), "TERM": "xterm-256color", "TMUX": ""}
+        self.environ.pop("TMUX")
 
     def _do(self, *arguments: str) -> str:
         command = [*self._tmux, *arguments]
-        return run(command, check=True, env=self._environ).stdout
+        return run(command, check=True, env=self.environ).stdout
 
     def open(self, *command: str, width: int = 80, height: int = 24) -> None:
         shell = " ".join(command) + "; echo STATUS=$?; exec sleep 60"

@@ -21,7 +21,7 @@ __all__ = ["terminal"]
 
 
 def at(terminal: Terminal, data_dir) -> Terminal:
-    terminal._environ["SWEEPSCOPE_STORAGE__DATA_DIR"] = str(data_dir)
+    terminal.environ["SWEEPSCOPE_STORAGE__DATA_DIR"] = str(data_dir)
     return terminal
 
 
@@ -92,7 +92,7 @@ def test_the_light_plane_is_calibrated_from_the_terminal_with_sweeps_over_the_bo
 ):
     exact = with_known_camera(tmp_path)
     rig = Appliance(run_dir, tmp_path, **BOARD)
-    terminal._environ |= {name: value for name, value in rig.environ.items() if name.startswith("SWEEPSCOPE_")}
+    terminal.environ |= {name: value for name, value in rig.environ.items() if name.startswith("SWEEPSCOPE_")}
     try:
         rig.start("daemon", "writer")
         rig.client().close()

@@ -13,7 +13,7 @@ from acquire.contract.messaging.messages import Picture
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tests.fakes.scans.small_scans import make_scan
-from tests.unit.tui.console.stage import play
+from tests.unit.tui.console.played_console import play
 from tui.console.calibration.board_watch import BoardWatch
 from tui.console.calibration.light_setup import LightSetup
 from tui.console.calibration.results import camera_result, plane_result
@@ -62,10 +62,10 @@ def with_views(folder: Path, count: int) -> CalibrationSession:
 
 
 def test_the_child_that_looks_for_the_board_runs_while_the_screen_is_in_view(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        arguments, subject = stage.started[0]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        arguments, subject = console.started[0]
         assert subject == "board" and arguments[:2] == ["calibrate", "watch"]
         assert "--squares" in arguments and "16x13" in arguments and "--json" in arguments
 
@@ -73,38 +73,38 @@ def test_the_child_that_looks_for_the_board_runs_while_the_screen_is_in_view(tmp
 
 
 def test_it_is_not_looked_for_without_a_rig_nor_during_a_sweep(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.pilot.pause()
-        assert stage.started == [] and "not connected" in stage.painted
-        await stage.connect(SWEEPING)
-        assert stage.started == []
+    async def script(console):
+        console.watch_jobs()
+        await console.pilot.pause()
+        assert console.started == [] and "not connected" in console.painted
+        await console.connect(SWEEPING)
+        assert console.started == []
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_a_child_that_cannot_look_is_not_started_again_at_once_and_says_why(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.end_job(None, exit_status=1, words="no rig daemon answers")
-        await stage.connect(PREVIEW)
-        assert len(stage.started) == 1
-        assert "no rig daemon answers" in stage.shown(GuidePane)
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.end_job(None, exit_status=1, words="no rig daemon answers")
+        await console.connect(PREVIEW)
+        assert len(console.started) == 1
+        assert "no rig daemon answers" in console.shown(GuidePane)
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_corners_are_marked_in_the_picture_and_the_advice_stands_beside_it(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.hear(picture())
-        await stage.report(FACTS)
-        guide = stage.shown(GuidePane)
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.hear(picture())
+        await console.report(FACTS)
+        guide = console.shown(GuidePane)
         for words in ("1. tilt it by 10 to 20", "2. move it: corner top left", "view-01 flat", "as in view-01"):
             assert words in guide
-        live = stage.screen.query_one(BoardPicture)
+        live = console.screen.query_one(BoardPicture)
         marks = sum(live.render_line(y).text.count("•") for y in range(live.size.height))
         assert marks == 2
 
@@ -112,11 +112,11 @@ def test_corners_are_marked_in_the_picture_and_the_advice_stands_beside_it(tmp_p
 
 
 def test_enough_views_are_called_enough(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.report({**FACTS, "advice": [], "ready": True})
-        assert "enough views: g calibrates" in stage.shown(GuidePane)
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.report({**FACTS, "advice": [], "ready": True})
+        assert "enough views: g calibrates" in console.shown(GuidePane)
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -124,15 +124,15 @@ def test_enough_views_are_called_enough(tmp_path):
 def test_a_capture_goes_into_the_session_under_the_next_number_and_its_fate_is_told(tmp_path):
     session = with_views(tmp_path, 2)
 
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.press("c")
-        name, args = stage.link.sent[-1]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.press("c")
+        name, args = console.link.sent[-1]
         assert (name, args) == ("capture", {"path": str(session.folder / "view-03.png")})
-        request_id = f"request-{len(stage.link.sent)}"
-        await stage.hear(CommandAnswered("capture", False, "a scan is running", 1, request_id=request_id))
-        assert "view-03.png: a scan is running" in stage.log
+        request_id = f"request-{len(console.link.sent)}"
+        await console.hear(CommandAnswered("capture", False, "a scan is running", 1, request_id=request_id))
+        assert "view-03.png: a scan is running" in console.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -140,12 +140,12 @@ def test_a_capture_goes_into_the_session_under_the_next_number_and_its_fate_is_t
 def test_the_last_view_can_be_put_aside(tmp_path):
     session = with_views(tmp_path, 2)
 
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.press("u")
+    async def script(console):
+        console.watch_jobs()
+        await console.press("u")
         assert [path.name for path in session.views] == ["view-01.png"]
-        await stage.press("u", "u")
-        assert "there is no view" in stage.log
+        await console.press("u", "u")
+        assert "there is no view" in console.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -153,20 +153,20 @@ def test_the_last_view_can_be_put_aside(tmp_path):
 def test_the_camera_is_calibrated_with_the_flat_view_and_the_result_says_passed_with_residuals(tmp_path):
     session = with_views(tmp_path, 3)
 
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.report(FACTS)
-        await stage.press("g")
-        arguments = stage.started[-1][0]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.report(FACTS)
+        await console.press("g")
+        arguments = console.started[-1][0]
         assert arguments[:2] == ["calibrate", "camera"] and arguments[2:5] == [str(path) for path in session.views]
         assert arguments[arguments.index("--stage") + 1] == "view-01.png"
-        await stage.end_job({"out": str(session.result), "camera": CAMERA})
-        guide = stage.shown(GuidePane)
+        await console.end_job({"out": str(session.result), "camera": CAMERA})
+        guide = console.shown(GuidePane)
         for words in ("PASSED", "0.0700 px", "view-01  0.0500 px", "view-02  left out: blurred", "nearly telecentric"):
             assert words in guide
-        await stage.press("v")
-        assert "PASSED" not in stage.shown(GuidePane)
+        await console.press("v")
+        assert "PASSED" not in console.shown(GuidePane)
 
     play(script, screen="calibrate", size=(160, 50), data_dir=tmp_path)
 
@@ -174,13 +174,13 @@ def test_the_camera_is_calibrated_with_the_flat_view_and_the_result_says_passed_
 def test_a_calibration_that_fails_says_the_routines_reason(tmp_path):
     with_views(tmp_path, 3)
 
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(PREVIEW)
-        await stage.press("g")
-        await stage.end_job(None, exit_status=1, words="all views are parallel")
-        assert "FAILED: all views are parallel" in stage.shown(GuidePane).replace("\n", " ")
-        assert stage.app.state.log.lines[-1].level == "error"
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(PREVIEW)
+        await console.press("g")
+        await console.end_job(None, exit_status=1, words="all views are parallel")
+        assert "FAILED: all views are parallel" in console.shown(GuidePane).replace("\n", " ")
+        assert console.app.state.log.lines[-1].level == "error"
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -193,17 +193,17 @@ def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch
         make_scan(tmp_path / name, purpose="calibration", started_utc=f"2026-01-0{ord(name) - 95}T00:00:00Z")
     make_scan(tmp_path / "object", purpose="object")
 
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect()
-        await stage.press("m")
-        await stage.until(lambda: "b  SAVED" in stage.shown(RowList), "the sweeps")
-        assert "object" not in stage.shown(RowList)
-        await stage.press("w")
-        name, args = stage.link.sent[-1]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect()
+        await console.press("m")
+        await console.until(lambda: "b  SAVED" in console.shown(RowList), "the sweeps")
+        assert "object" not in console.shown(RowList)
+        await console.press("w")
+        name, args = console.link.sent[-1]
         assert name == "scan" and args["purpose"] == "calibration" and args["name"] == "board-3"
-        await stage.press("enter", "g")
-        arguments = stage.started[-1][0]
+        await console.press("enter", "g")
+        arguments = console.started[-1][0]
         assert arguments[:2] == ["calibrate", "plane"] and str(tmp_path / "a") in arguments
         assert str(tmp_path / "b") not in arguments, "it was taken out"
         surface = {
@@ -213,8 +213,8 @@ def test_sweeps_over_the_board_are_taken_chosen_and_fitted(tmp_path, monkeypatch
             "ok": False,
             "cause": "it lies 3 um off",
         }
-        await stage.end_job({"out": "x.json", "light_plane": {"quality": {"surfaces": [surface]}}})
-        assert "FAILED: 20260101T000000Z-a: it lies 3 um off" in stage.shown(GuidePane).replace("\n", " ")
+        await console.end_job({"out": "x.json", "light_plane": {"quality": {"surfaces": [surface]}}})
+        assert "FAILED: 20260101T000000Z-a: it lies 3 um off" in console.shown(GuidePane).replace("\n", " ")
 
     play(script, screen="calibrate", size=(160, 50), data_dir=tmp_path)
 
@@ -224,45 +224,47 @@ def test_a_sweep_that_cannot_pass_says_so_before_the_plane_is_fitted(tmp_path, m
     folder = make_scan(tmp_path / "a", purpose="calibration")
     (folder / "report.json").write_text('{"counts": {"over_contrast": 200, "quality_saturated": 178}}')
 
-    async def script(stage):
-        await stage.connect()
-        await stage.press("m")
-        await stage.until(lambda: "SAVED, 89 % SATURATED: e, then sweep again" in stage.shown(RowList), "the warning")
+    async def script(console):
+        await console.connect()
+        await console.press("m")
+        await console.until(
+            lambda: "SAVED, 89 % SATURATED: e, then sweep again" in console.shown(RowList), "the warning"
+        )
 
     play(script, screen="calibrate", size=(160, 50), data_dir=tmp_path)
 
 
 def test_for_a_sweep_the_exposure_is_searched_when_the_light_has_come_over_the_board(tmp_path):
-    async def script(stage):
-        await stage.connect()
-        await stage.press("m", "e")
-        assert stage.sent[-2:] == [("lamp", {"on": True}), ("goto", {"position_steps": 1578})]
-        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, state=State.MOVING, position_steps=700)))
-        assert stage.sent[-1][0] == "goto", "it is searched while the stage moves"
-        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
-        assert stage.sent[-1] == ("expose", {})
-        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
-        assert [name for name, _ in stage.sent].count("expose") == 1
+    async def script(console):
+        await console.connect()
+        await console.press("m", "e")
+        assert console.sent[-2:] == [("lamp", {"on": True}), ("goto", {"position_steps": 1578})]
+        await console.hear(StatusArrived(msgspec.structs.replace(IDLE, state=State.MOVING, position_steps=700)))
+        assert console.sent[-1][0] == "goto", "it is searched while the stage moves"
+        await console.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
+        assert console.sent[-1] == ("expose", {})
+        await console.hear(StatusArrived(msgspec.structs.replace(IDLE, position_steps=1578)))
+        assert [name for name, _ in console.sent].count("expose") == 1
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_nothing_is_begun_while_the_simulated_board_is_laid(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(msgspec.structs.replace(IDLE, activity="specimen"))
-        await stage.press("c", "P", "e")
-        assert stage.sent == [] and "specimen is running; wait" in stage.log
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(msgspec.structs.replace(IDLE, activity="specimen"))
+        await console.press("c", "P", "e")
+        assert console.sent == [] and "specimen is running; wait" in console.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
 
 def test_for_a_view_the_exposure_is_searched_where_the_stage_is(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect()
-        await stage.press("e")
-        assert [name for name, _ in stage.sent] == ["expose"]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect()
+        await console.press("e")
+        assert [name for name, _ in console.sent] == ["expose"]
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -285,14 +287,14 @@ def test_a_light_that_was_stopped_on_its_way_searches_no_exposure():
 
 
 def test_a_light_on_its_way_searches_no_exposure_once_the_screen_was_left(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect(msgspec.structs.replace(IDLE, lamp_on=True))
-        await stage.press("m", "e")
-        assert stage.sent == [("goto", {"position_steps": 1578})]
-        await stage.press("6", "3")
-        await stage.hear(StatusArrived(msgspec.structs.replace(IDLE, lamp_on=True, position_steps=1578)))
-        assert [name for name, _ in stage.sent] == ["goto"]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect(msgspec.structs.replace(IDLE, lamp_on=True))
+        await console.press("m", "e")
+        assert console.sent == [("goto", {"position_steps": 1578})]
+        await console.press("6", "3")
+        await console.hear(StatusArrived(msgspec.structs.replace(IDLE, lamp_on=True, position_steps=1578)))
+        assert [name for name, _ in console.sent] == ["goto"]
 
     play(script, screen="calibrate", data_dir=tmp_path)
 
@@ -312,15 +314,15 @@ def test_a_child_that_cannot_be_started_is_not_tried_again_at_once():
 
 
 def test_the_simulated_board_takes_one_pose_after_the_other_and_real_rigs_have_no_such_key(tmp_path):
-    async def script(stage):
-        stage.watch_jobs()
-        await stage.connect()
-        await stage.press("P", "P")
-        poses = [args for name, args in stage.link.sent if name == "specimen"]
+    async def script(console):
+        console.watch_jobs()
+        await console.connect()
+        await console.press("P", "P")
+        poses = [args for name, args in console.link.sent if name == "specimen"]
         assert poses[0]["tilt_x_deg"] == poses[0]["tilt_y_deg"] == 0.0 and poses[1] != poses[0]
-        await stage.connect(msgspec.structs.replace(IDLE, camera_kind="genicam"))
-        await stage.press("P")
-        assert "only on the simulated rig" in stage.log
+        await console.connect(msgspec.structs.replace(IDLE, camera_kind="genicam"))
+        await console.press("P")
+        assert "only on the simulated rig" in console.log
 
     play(script, screen="calibrate", data_dir=tmp_path)
 

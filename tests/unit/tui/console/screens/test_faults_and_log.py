@@ -6,7 +6,7 @@ import msgspec
 
 from acquire.contract.faults import report
 from tests.fakes.fake_daemon import IDLE
-from tests.unit.tui.console.stage import play
+from tests.unit.tui.console.played_console import play
 from tui.console.link.messages import StatusArrived
 from tui.console.screens.faults import FaultDetail
 from tui.console.screens.log import filtered
@@ -28,57 +28,57 @@ def seen(fault):
 
 
 def test_each_fault_shows_what_happened_what_is_safe_what_to_do_and_when():
-    async def script(stage):
-        await stage.connect(having(WRITER, NOISE))
-        assert "2, 2 not acknowledged" in str(stage.screen.query_one(RowList).border_title)
-        detail = stage.shown(FaultDetail)
+    async def script(console):
+        await console.connect(having(WRITER, NOISE))
+        assert "2, 2 not acknowledged" in str(console.screen.query_one(RowList).border_title)
+        detail = console.shown(FaultDetail)
         assert "F11" in detail and "NOT ACKNOWLEDGED" in detail
-        await stage.press("down")
+        await console.press("down")
         for words in ("F03  the writer is lost", "410 of 527 frames are saved", "it is being restarted", "when"):
-            assert words in stage.shown(FaultDetail)
+            assert words in console.shown(FaultDetail)
 
     play(script, screen="faults")
 
 
 def test_an_acknowledged_fault_and_one_that_the_daemon_forgot_stay_on_the_list():
-    async def script(stage):
-        await stage.connect(having(WRITER))
-        await stage.hear(StatusArrived(having(seen(WRITER))))
-        assert "acknowledged" in stage.shown(FaultDetail) and "NOT" not in stage.shown(FaultDetail)
-        await stage.hear(StatusArrived(having()))
-        assert "the writer is lost" in stage.shown(RowList)
-        assert "the daemon no longer reports it" in stage.shown(FaultDetail)
+    async def script(console):
+        await console.connect(having(WRITER))
+        await console.hear(StatusArrived(having(seen(WRITER))))
+        assert "acknowledged" in console.shown(FaultDetail) and "NOT" not in console.shown(FaultDetail)
+        await console.hear(StatusArrived(having()))
+        assert "the writer is lost" in console.shown(RowList)
+        assert "the daemon no longer reports it" in console.shown(FaultDetail)
 
     play(script, screen="faults")
 
 
 def test_faults_that_came_while_another_screen_was_in_view_are_there():
-    async def script(stage):
-        await stage.connect(having(WRITER))
-        await stage.hear(StatusArrived(having()))
-        await stage.press("5")
-        assert "the writer is lost" in stage.shown(RowList)
+    async def script(console):
+        await console.connect(having(WRITER))
+        await console.hear(StatusArrived(having()))
+        await console.press("5")
+        assert "the writer is lost" in console.shown(RowList)
 
     play(script, screen="log")
 
 
 def test_all_are_acknowledged_with_one_key_and_without_any_it_says_so():
-    async def script(stage):
-        await stage.connect(having())
-        await stage.press("A")
-        assert stage.sent == [] and "every fault is acknowledged" in stage.log
-        await stage.hear(StatusArrived(having(WRITER, NOISE)))
-        await stage.press("A")
-        assert stage.link.sent == [("acknowledge", {"code": ""})]
+    async def script(console):
+        await console.connect(having())
+        await console.press("A")
+        assert console.sent == [] and "every fault is acknowledged" in console.log
+        await console.hear(StatusArrived(having(WRITER, NOISE)))
+        await console.press("A")
+        assert console.link.sent == [("acknowledge", {"code": ""})]
 
     play(script, screen="faults")
 
 
 def test_faults_are_copied_as_text():
-    async def script(stage):
-        await stage.connect(having(WRITER, NOISE))
-        await stage.press("C")
-        text = stage.app.clipboard
+    async def script(console):
+        await console.connect(having(WRITER, NOISE))
+        await console.press("C")
+        text = console.app.clipboard
         for words in ("F03", "F11", "safe:", "to do:", "not acknowledged"):
             assert words in text
 
@@ -102,42 +102,44 @@ def test_lines_are_filtered_by_level_and_by_all_words():
 
 
 def test_the_log_is_filtered_from_the_keyboard_and_shown_whole_again():
-    async def script(stage):
-        await stage.connect()
-        stage.app.say("the lamp is dim", "warning")
-        await stage.press("l")
-        assert "the lamp is dim" in stage.shown(LogPane) and "connected to" not in stage.shown(LogPane)
-        await stage.press("l", "l", "slash", *"dim", "enter")
-        assert stage.shown(LogPane).count("\n") == 0 and "with 'dim'" in str(
-            stage.screen.query_one(LogPane).border_title
+    async def script(console):
+        await console.connect()
+        console.app.say("the lamp is dim", "warning")
+        await console.press("l")
+        assert "the lamp is dim" in console.shown(LogPane) and "connected to" not in console.shown(LogPane)
+        await console.press("l", "l", "slash", *"dim", "enter")
+        assert console.shown(LogPane).count("\n") == 0 and "with 'dim'" in str(
+            console.screen.query_one(LogPane).border_title
         )
-        await stage.press("escape")
-        assert "connected to" in stage.shown(LogPane)
+        await console.press("escape")
+        assert "connected to" in console.shown(LogPane)
 
     play(script, screen="log")
 
 
 def test_a_log_that_was_scrolled_back_stands_still_until_it_is_told_to_follow():
-    async def script(stage):
+    async def script(console):
         for number in range(100):
-            stage.app.say(f"line number {number}")
-        await stage.pilot.pause()
-        assert "line number 99" in stage.shown(LogPane)
-        await stage.press("pageup")
-        shown = stage.shown(LogPane)
-        stage.app.say("one more")
-        await stage.pilot.pause()
-        assert stage.shown(LogPane) == shown and "scrolled back" in str(stage.screen.query_one(LogPane).border_title)
-        await stage.press("end")
-        assert "one more" in stage.shown(LogPane)
+            console.app.say(f"line number {number}")
+        await console.pilot.pause()
+        assert "line number 99" in console.shown(LogPane)
+        await console.press("pageup")
+        shown = console.shown(LogPane)
+        console.app.say("one more")
+        await console.pilot.pause()
+        assert console.shown(LogPane) == shown and "scrolled back" in str(
+            console.screen.query_one(LogPane).border_title
+        )
+        await console.press("end")
+        assert "one more" in console.shown(LogPane)
 
     play(script, screen="log")
 
 
 def test_the_lines_in_the_filter_are_copied():
-    async def script(stage):
-        stage.app.say("only this", "error")
-        await stage.press("l", "l", "c")
-        assert stage.app.clipboard == "12:00:00 error: only this\n"
+    async def script(console):
+        console.app.say("only this", "error")
+        await console.press("l", "l", "c")
+        assert console.app.clipboard == "12:00:00 error: only this\n"
 
     play(script, screen="log")

@@ -19,7 +19,7 @@ from tui.console.screens.base import RigScreenBase
 ME = "anna on pts/3"
 
 
-class Stage:
+class PlayedConsole:
     """A running console, what it sent, what it started, what it shows."""
 
     def __init__(self, app: ConsoleApp, pilot, link: FakeLink) -> None:
@@ -97,7 +97,7 @@ class Stage:
 
 
 def play(
-    script: Callable[[Stage], Awaitable[None]],
+    script: Callable[[PlayedConsole], Awaitable[None]],
     *,
     screen: str = "scan",
     size: tuple[int, int] = (80, 24),
@@ -117,6 +117,6 @@ def play(
         chosen = ConsoleOptions(me=ME, screen=screen, data_dir=data_dir, **options)
         app = ConsoleApp(connect, chosen, clock=lambda: "12:00:00", now_s=now_s)
         async with app.run_test(size=size) as pilot:
-            await script(Stage(app, pilot, links[0]))
+            await script(PlayedConsole(app, pilot, links[0]))
 
     asyncio.run(asyncio.wait_for(run(), 60))
