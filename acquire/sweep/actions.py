@@ -1,4 +1,4 @@
-"""What a sweep wants done, as values: the daemon carries them out in order, and only the daemon touches devices."""
+"""The actions of a sweep, as values: the daemon carries them out in order, and only the daemon touches devices."""
 
 from __future__ import annotations
 
@@ -9,74 +9,80 @@ from acquire.contract.messaging.messages import End, FaultReport, Image
 from acquire.stages.protocol import Segment
 
 
+class Action:
+    """One of the actions below."""
+
+
 @dataclass(frozen=True)
-class SetLamp:
+class SetLamp(Action):
     """Switch the lamp."""
 
     on: bool
 
 
 @dataclass(frozen=True)
-class Arm:
-    """Arm the camera for hardware triggers; stale frames are dropped."""
+class Arm(Action):
+    """Arm the camera for hardware triggers; frames from before are dropped."""
 
 
 @dataclass(frozen=True)
-class Disarm:
+class Disarm(Action):
     """Let the camera ignore triggers."""
 
 
 @dataclass(frozen=True)
-class Snap:
-    """Take one frame by software."""
+class Snap(Action):
+    """Take one frame by software trigger."""
 
 
 @dataclass(frozen=True)
-class BeginSegment:
-    """Start a segment of shots with its first credit."""
+class BeginSegment(Action):
+    """Start a segment with its first credit."""
 
     segment: Segment
     may_trigger_through: int
+    """The last shot of the segment that may be fired; -1: none yet."""
 
 
 @dataclass(frozen=True)
-class Grant:
-    """Raise the absolute credit of the running segment."""
+class Grant(Action):
+    """Raise the credit of the running segment."""
 
     may_trigger_through: int
+    """The last shot of the segment that may be fired."""
 
 
 @dataclass(frozen=True)
-class HoldStage:
+class HoldStage(Action):
     """Pause the segment."""
 
 
 @dataclass(frozen=True)
-class ResumeStage:
-    """Go on with the segment."""
+class ResumeStage(Action):
+    """Continue the segment."""
 
 
 @dataclass(frozen=True)
-class StopStage:
+class StopStage(Action):
     """End the segment or move."""
 
 
 @dataclass(frozen=True)
-class CheckLimit:
+class CheckLimit(Action):
     """Touch the limit switch again."""
 
 
 @dataclass(frozen=True)
-class Publish:
-    """A frame goes onto the lossless and the live lane."""
+class Publish(Action):
+    """Send a frame to the writer and to the live lane."""
 
     image: Image
     pixels: Any
 
 
 @dataclass(frozen=True)
-class SavePicture:
-    """Lay a picture beside the scan."""
+class SavePicture(Action):
+    """Save a picture in the scan's folder."""
 
     name: str
     picture: Any
@@ -84,48 +90,28 @@ class SavePicture:
 
 
 @dataclass(frozen=True)
-class SaveMarks:
-    """Lay beside the scan, at once, what must be known of it even if its end is never said."""
+class SaveMarks(Action):
+    """Save measured figures in the scan's folder at once: they are known even if no end is ever sent."""
 
     measured: dict[str, float]
 
 
 @dataclass(frozen=True)
-class SendEnd:
+class SendEnd(Action):
     """Tell writer and worker that no more frames follow."""
 
     end: End
 
 
 @dataclass(frozen=True)
-class RaiseFault:
+class RaiseFault(Action):
     """Show a fault to the operator."""
 
     fault: FaultReport
 
 
 @dataclass(frozen=True)
-class Say:
+class Say(Action):
     """Show a line to the operator."""
 
     text: str
-
-
-Action = (
-    SetLamp
-    | Arm
-    | Disarm
-    | Snap
-    | BeginSegment
-    | Grant
-    | HoldStage
-    | ResumeStage
-    | StopStage
-    | CheckLimit
-    | Publish
-    | SavePicture
-    | SaveMarks
-    | SendEnd
-    | RaiseFault
-    | Say
-)

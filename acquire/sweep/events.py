@@ -1,4 +1,4 @@
-"""What can happen to a sweep, as values: from the writer, the camera and the operator."""
+"""The events of a sweep, as values: from stage, camera, writer and operator."""
 
 from __future__ import annotations
 
@@ -12,59 +12,57 @@ from acquire.stages.protocol import StageEvent
 
 @dataclass(frozen=True)
 class WriterReady:
-    """A writer has the scan's file open (again)."""
+    """A writer has opened the scan file."""
 
     reserved: bool
     """False where the file system cannot reserve the file's space."""
     came_back: bool
     """True for every writer of the scan but the first."""
     committed: tuple[AckItem, ...] = ()
-    """Frames that its file holds already."""
+    """Frames that the file contains already."""
 
 
 @dataclass(frozen=True)
 class Committed:
-    """Frames became committed; ``durable_count`` frames survive a power cut."""
+    """The writer acknowledged frames."""
 
     frames: tuple[AckItem, ...]
     durable_count: int
+    """Frames of the scan that survive a power cut."""
 
 
 @dataclass(frozen=True)
 class Refused:
-    """The writer refused a frame, or the scan, and says why."""
+    """The writer refused a frame, or the scan."""
 
     nack: Nack
 
     @property
     def is_final(self) -> bool:
-        """The writer will never take this frame; sending it again would change nothing."""
+        """The writer will never take this frame: it is not sent again."""
         return self.nack.reason in ("immutable", "protocol") and self.nack.frame_index >= 0
 
 
 @dataclass(frozen=True)
 class Sealed:
-    """The scan's file is closed for good (or could not be)."""
+    """The writer's answer to the end: the scan file is closed, or could not be."""
 
     end_ack: EndAck
 
 
-LaneEvent = WriterReady | Committed | Refused | Sealed
-
-
 @dataclass(frozen=True)
 class PauseRequested:
-    """The operator wants the sweep to hold."""
+    """Hold the sweep."""
 
 
 @dataclass(frozen=True)
 class ResumeRequested:
-    """The operator wants the sweep to go on."""
+    """Continue a paused sweep."""
 
 
 @dataclass(frozen=True)
 class StopRequested:
-    """The sweep shall end early; what was taken is kept."""
+    """End the sweep early; frames that were taken are kept."""
 
     outcome: Outcome = Outcome.STOPPED
     reason: str = "stopped by the operator"
@@ -78,4 +76,5 @@ class Tick:
     """``StageStatus.no_alarm_ns``."""
 
 
+LaneEvent = WriterReady | Committed | Refused | Sealed
 SweepEvent = StageEvent | CameraFrame | CameraGone | LaneEvent | PauseRequested | ResumeRequested | StopRequested | Tick

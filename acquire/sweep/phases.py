@@ -5,14 +5,14 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import Final
 
-from acquire.contract.states import IllegalTransitionError, State
+from acquire.contract.states import IllegalTransitionError
 
 
 class Phase(Enum):
     """What a sweep is doing."""
 
     WAIT_WRITER = auto()
-    """The writer makes the scan file; nothing moves before it is there."""
+    """The writer creates the scan file; nothing moves before it exists."""
     AMBIENT = auto()
     """One frame is taken with the lamp off."""
     WARM_UP = auto()
@@ -21,7 +21,7 @@ class Phase(Enum):
     RUN = auto()
     """The stage runs a segment; frames are taken."""
     STOPPING = auto()
-    """The stage was told to stop, or rests until the camera is back; what follows is decided when it rests."""
+    """The stage was told to stop, or rests until the camera is back; when it rests, the next decision is made."""
     REPEAT = auto()
     """Frame 0 is taken again for the drift check."""
     LIMIT = auto()
@@ -29,7 +29,7 @@ class Phase(Enum):
     DRAIN = auto()
     """The stage rests for good; frames that were taken are being committed."""
     SEAL = auto()
-    """The end was sent; the writer closes the file."""
+    """The end message was sent; the writer closes the file."""
     DONE = auto()
 
 
@@ -47,52 +47,49 @@ class Decision(Enum):
     REPEAT_FIRST = auto()
     CHECK_LIMIT = auto()
     END_EARLY = auto()
-    """Stop of the operator, fault, or failed check."""
+    """Stop by the operator, fault, or failed check."""
     DRAIN = auto()
     SEAL = auto()
     CLOSE = auto()
-    """The writer has answered to the end."""
+    """The writer has answered the end message."""
     ABANDON = auto()
     """The writer refused the file, or does not answer."""
 
 
 BEFORE_MOTION: Final = frozenset({Phase.WAIT_WRITER, Phase.AMBIENT, Phase.WARM_UP})
-STAGE_PHASES: Final = frozenset({Phase.OVERLAP, Phase.RUN, Phase.STOPPING, Phase.REPEAT, Phase.LIMIT})
-"""The stage moves, or will when it gets credit."""
+SHOOTING: Final = frozenset({Phase.OVERLAP, Phase.RUN, Phase.STOPPING, Phase.REPEAT})
+"""The stage takes frames, or will when it gets credit."""
+STAGE_PHASES: Final = SHOOTING | {Phase.LIMIT}
+"""The stage moves, or will."""
 CHECK_PHASES: Final = frozenset({Phase.AMBIENT, Phase.OVERLAP, Phase.REPEAT})
 """Frames that are taken here are not frames of the sweep."""
 
-_P, _D = Phase, Decision
+P, D = Phase, Decision
 _AFTER_MOTION = {
-    _D.BEGIN_RUN: _P.RUN,
-    _D.AWAIT_CAMERA: _P.STOPPING,
-    _D.REPEAT_FIRST: _P.REPEAT,
-    _D.CHECK_LIMIT: _P.LIMIT,
-    _D.DRAIN: _P.DRAIN,
-    _D.END_EARLY: _P.STOPPING,
+    D.BEGIN_RUN: P.RUN,
+    D.AWAIT_CAMERA: P.STOPPING,
+    D.REPEAT_FIRST: P.REPEAT,
+    D.CHECK_LIMIT: P.LIMIT,
+    D.DRAIN: P.DRAIN,
+    D.END_EARLY: P.STOPPING,
 }
 TRANSITIONS: Final[dict[Phase, dict[Decision, Phase]]] = {
-    _P.WAIT_WRITER: {
-        _D.TAKE_AMBIENT: _P.AMBIENT,
-        _D.LIGHT_LAMP: _P.WARM_UP,
-        _D.END_EARLY: _P.STOPPING,
-        _D.ABANDON: _P.DONE,
+    P.WAIT_WRITER: {D.TAKE_AMBIENT: P.AMBIENT, D.LIGHT_LAMP: P.WARM_UP, D.END_EARLY: P.STOPPING, D.ABANDON: P.DONE},
+    P.AMBIENT: {D.LIGHT_LAMP: P.WARM_UP, D.END_EARLY: P.STOPPING},
+    P.WARM_UP: {
+        D.COMPARE_OVERLAP: P.OVERLAP,
+        D.BEGIN_RUN: P.RUN,
+        D.AWAIT_CAMERA: P.STOPPING,
+        D.END_EARLY: P.STOPPING,
     },
-    _P.AMBIENT: {_D.LIGHT_LAMP: _P.WARM_UP, _D.END_EARLY: _P.STOPPING},
-    _P.WARM_UP: {
-        _D.COMPARE_OVERLAP: _P.OVERLAP,
-        _D.BEGIN_RUN: _P.RUN,
-        _D.AWAIT_CAMERA: _P.STOPPING,
-        _D.END_EARLY: _P.STOPPING,
-    },
-    _P.OVERLAP: _AFTER_MOTION,
-    _P.RUN: _AFTER_MOTION | {_D.RETAKE: _P.STOPPING},
-    _P.STOPPING: {decision: phase for decision, phase in _AFTER_MOTION.items() if decision is not _D.AWAIT_CAMERA},
-    _P.REPEAT: {_D.CHECK_LIMIT: _P.LIMIT, _D.DRAIN: _P.DRAIN, _D.END_EARLY: _P.STOPPING},
-    _P.LIMIT: {_D.DRAIN: _P.DRAIN, _D.END_EARLY: _P.STOPPING},
-    _P.DRAIN: {_D.SEAL: _P.SEAL, _D.ABANDON: _P.DONE},
-    _P.SEAL: {_D.CLOSE: _P.DONE, _D.ABANDON: _P.DONE},
-    _P.DONE: {},
+    P.OVERLAP: _AFTER_MOTION,
+    P.RUN: _AFTER_MOTION | {D.RETAKE: P.STOPPING},
+    P.STOPPING: {decision: phase for decision, phase in _AFTER_MOTION.items() if decision is not D.AWAIT_CAMERA},
+    P.REPEAT: {D.CHECK_LIMIT: P.LIMIT, D.DRAIN: P.DRAIN, D.END_EARLY: P.STOPPING},
+    P.LIMIT: {D.DRAIN: P.DRAIN, D.END_EARLY: P.STOPPING},
+    P.DRAIN: {D.SEAL: P.SEAL, D.ABANDON: P.DONE},
+    P.SEAL: {D.CLOSE: P.DONE, D.ABANDON: P.DONE},
+    P.DONE: {},
 }
 
 
@@ -106,12 +103,3 @@ def next_phase(phase: Phase, decision: Decision) -> Phase:
         return TRANSITIONS[phase][decision]
     except KeyError:
         raise IllegalTransitionError(f"sweep: {decision.name} in {phase.name}") from None
-
-
-def rig_state(phase: Phase, *, holding: bool) -> State:
-    """The rig's state that belongs to a phase."""
-    if phase in BEFORE_MOTION:
-        return State.ARMED
-    if phase in STAGE_PHASES and phase is not Phase.LIMIT:
-        return State.HOLDING if holding else State.SWEEPING
-    return State.FINISHING

@@ -1,6 +1,6 @@
 """Retakes: which frames are taken, and which are taken again because their frame was lost. Pure.
 
-A lost frame costs no special path: it is simply not taken, so that the next run of the stage includes it.
+A lost frame is just not taken, so the next run of the stage includes it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ class Retakes:
     count: int
     """Frames of the plan."""
     max_attempts: int
-    """A frame that was lost so often ends the sweep."""
+    """A frame that is lost so often ends the sweep."""
     taken: set[int] = field(default_factory=set)
-    """Frames that arrived and belong to their trigger beyond doubt."""
+    """Frames that arrived and were paired with their trigger."""
     attempts: dict[int, int] = field(default_factory=dict)
     """Lost attempts by frame index."""
     lost: int = 0
@@ -37,10 +37,7 @@ class Retakes:
 
     def next_run(self) -> tuple[int, int] | None:
         """First and last frame of the first run that is not taken yet, retakes included; None when all are taken."""
-        missing = [k for k in range(self.count) if k not in self.taken]
-        if not missing:
+        first = next((k for k in range(self.count) if k not in self.taken), None)
+        if first is None:
             return None
-        last = first = missing[0]
-        while last + 1 < self.count and last + 1 not in self.taken:
-            last += 1
-        return first, last
+        return first, next((k for k in range(first, self.count) if k in self.taken), self.count) - 1

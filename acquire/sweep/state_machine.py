@@ -15,18 +15,8 @@ from acquire.contract.process.log_throttle import is_power_of_ten
 from acquire.contract.states import Outcome
 from acquire.stages.protocol import Alarm, Held, Moved, SegmentDone, Stopped, Triggered
 
+from . import events as on
 from .actions import Action, Grant, HoldStage, RaiseFault, ResumeStage, SaveMarks, Say, StopStage
-from .events import (
-    Committed,
-    PauseRequested,
-    Refused,
-    ResumeRequested,
-    Sealed,
-    StopRequested,
-    SweepEvent,
-    Tick,
-    WriterReady,
-)
 from .finish import drain, end_early, give_up, seal_if_settled, sealed, writer_is_late
 from .frame_intake import Loss
 from .phases import CHECK_PHASES, STAGE_PHASES, Decision, Phase
@@ -47,7 +37,7 @@ class Sweep(SweepState):
         """The writer was told to make the file; nothing moves until it has."""
         self.deadline_ns = now_ns + self.settings.writer_start_ns
 
-    def handle(self, event: SweepEvent, now_ns: int) -> list[Action]:
+    def handle(self, event: on.SweepEvent, now_ns: int) -> list[Action]:
         """Take one event; returns the actions that it causes, in order.
 
         Raises:
@@ -195,7 +185,7 @@ def _expect_stage(sweep: Sweep, now_ns: int) -> None:
 # ---- the operator ----
 
 
-def _on_pause(sweep: Sweep, event: PauseRequested, now_ns: int) -> list[Action]:
+def _on_pause(sweep: Sweep, event: on.PauseRequested, now_ns: int) -> list[Action]:
     return _hold(sweep, now_ns) if sweep.can_pause and not sweep.paused else []
 
 
@@ -207,7 +197,7 @@ def _hold(sweep: Sweep, now_ns: int) -> list[Action]:
     return [HoldStage()]
 
 
-def _on_resume(sweep: Sweep, event: ResumeRequested, now_ns: int) -> list[Action]:
+def _on_resume(sweep: Sweep, event: on.ResumeRequested, now_ns: int) -> list[Action]:
     if not sweep.paused:
         return []
     sweep.paused = False
@@ -215,14 +205,14 @@ def _on_resume(sweep: Sweep, event: ResumeRequested, now_ns: int) -> list[Action
     return [ResumeStage(), *_grant(sweep, now_ns)] if sweep.phase is Phase.RUN else []
 
 
-def _on_stop(sweep: Sweep, event: StopRequested, now_ns: int) -> list[Action]:
+def _on_stop(sweep: Sweep, event: on.StopRequested, now_ns: int) -> list[Action]:
     return end_early(sweep, event.outcome, event.reason, now_ns)
 
 
 # ---- the writer ----
 
 
-def _on_committed(sweep: Sweep, event: Committed, now_ns: int) -> list[Action]:
+def _on_committed(sweep: Sweep, event: on.Committed, now_ns: int) -> list[Action]:
     sweep.window.commit(event.frames)
     sweep.durable_count = event.durable_count
     return _grant(sweep, now_ns)
@@ -231,7 +221,7 @@ def _on_committed(sweep: Sweep, event: Committed, now_ns: int) -> list[Action]:
 # ---- time ----
 
 
-def _on_tick(sweep: Sweep, event: Tick, now_ns: int) -> list[Action]:
+def _on_tick(sweep: Sweep, event: on.Tick, now_ns: int) -> list[Action]:
     actions: list[Action] = [*sweep.intake.confirm(event.no_alarm_ns)]
     if sweep.camera_is_missed(now_ns):
         actions += give_up(sweep, Outcome.INTERRUPTED, "F18", "it did not come back", now_ns)
@@ -257,10 +247,10 @@ def _time_is_up(sweep: Sweep, now_ns: int) -> list[Action]:
 
 
 HANDLERS: dict[type, Callable[[Sweep, Any, int], list[Action]]] = {
-    WriterReady: writer_ready,
-    Committed: _on_committed,
-    Refused: refused,
-    Sealed: sealed,
+    on.WriterReady: writer_ready,
+    on.Committed: _on_committed,
+    on.Refused: refused,
+    on.Sealed: sealed,
     Triggered: _on_triggered,
     SegmentDone: _on_rest,
     Moved: _on_rest,
@@ -269,8 +259,8 @@ HANDLERS: dict[type, Callable[[Sweep, Any, int], list[Action]]] = {
     Alarm: _on_alarm,
     CameraFrame: _on_frame,
     CameraGone: _on_camera_gone,
-    PauseRequested: _on_pause,
-    ResumeRequested: _on_resume,
-    StopRequested: _on_stop,
-    Tick: _on_tick,
+    on.PauseRequested: _on_pause,
+    on.ResumeRequested: _on_resume,
+    on.StopRequested: _on_stop,
+    on.Tick: _on_tick,
 }

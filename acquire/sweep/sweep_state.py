@@ -12,7 +12,7 @@ from .actions import Action, SetLamp, StopStage
 from .checks.self_checks import SelfChecks
 from .credit_window import CreditWindow
 from .frame_intake import FrameIntake
-from .phases import Decision, Phase, next_phase, rig_state
+from .phases import BEFORE_MOTION, SHOOTING, Decision, Phase, next_phase
 from .retakes import Retakes
 from .settings import SweepSettings
 
@@ -113,21 +113,22 @@ class SweepState:
         return now_ns - self.camera_gone_ns >= self.settings.camera_away_ns
 
     @property
-    def state(self) -> State:
-        """The rig's state that belongs to the phase."""
-        holding = self.paused or self.lost_contact or self.away or self.window.short
-        return rig_state(self.phase, holding=holding)
+    def hold_reason(self) -> HoldReason | None:
+        """Why the stage holds; None when it does not."""
+        reasons = {
+            HoldReason.PAUSED: self.paused,
+            HoldReason.LINK_LOST: self.lost_contact,
+            HoldReason.CAMERA_AWAY: self.away,
+            HoldReason.NO_CREDIT: self.window.short,
+        }
+        return next((reason for reason, holds in reasons.items() if holds and self.phase in SHOOTING), None)
 
     @property
-    def hold_reason(self) -> HoldReason | None:
-        """Why it holds; None when it does not."""
-        if self.state is not State.HOLDING:
-            return None
-        if self.paused:
-            return HoldReason.PAUSED
-        if self.lost_contact:
-            return HoldReason.LINK_LOST
-        return HoldReason.CAMERA_AWAY if self.away else HoldReason.NO_CREDIT
+    def state(self) -> State:
+        """The rig's state that belongs to the phase."""
+        if self.phase in SHOOTING:
+            return State.HOLDING if self.hold_reason else State.SWEEPING
+        return State.ARMED if self.phase in BEFORE_MOTION else State.FINISHING
 
     @property
     def can_pause(self) -> bool:

@@ -80,16 +80,16 @@ def _no_credit() -> None:
 def _no_pairing() -> None:
     from acquire.sweep.pairing import Match, Pairing
 
-    def frame(self: Any, *_args: int, **_more: object) -> Match:
+    def match(self: Any, *_args: object, **_more: object) -> Match:
         return Match(self.pending.popleft() if self.pending else None)
 
-    _replace(Pairing, "frame", frame)
+    _replace(Pairing, "match", match)
 
 
 def _no_look_at_times() -> None:
     from acquire.sweep.pairing import Pairing
 
-    _replace(Pairing, "_skip_unseen", lambda *_args: ())
+    _replace(Pairing, "_is_too_late", lambda *_args: False)
 
 
 def _no_retake() -> None:

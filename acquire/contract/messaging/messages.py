@@ -56,7 +56,7 @@ class FrameFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (self.height, self.width, 3) if self.pixel_format == "rgb" else (self.height, self.width)
 
     @property
-    def dtype(self) -> str:
+    def dtype(self) -> Literal["|u1", "<u2"]:
         """numpy's name of the stored type, little endian."""
         return "|u1" if self.bit_depth == 8 else "<u2"
 

@@ -1,4 +1,4 @@
-"""Compares frame 0 with its repetition after the sweep: did the specimen or the light move meanwhile?"""
+"""The drift check: compares frame 0 with its repetition after the sweep."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAST_RESPONSE = 0.05
-"""Below this the phase correlation has no peak to speak of: the frames have no structure in common."""
+"""Of the phase correlation; below this it has no clear peak: the frames have no structure in common."""
 
 
 def measure_drift(first: NDArray[Any], repeated: NDArray[Any]) -> dict[str, float]:
-    """``brightness_change`` (relative), and ``drift_px`` (shift in pixels) where the frames show enough to tell.
+    """Measure ``brightness_change`` (relative), and ``drift_px`` (shift, pixels) where the frames have structure.
 
     Args:
         first: [h, w] or [h, w, 3], any integer type.
         repeated: the same shape and type, taken at the same position after the sweep.
     """
-    before, after = _grey(first), _grey(repeated)
+    before, after = to_grey(first), to_grey(repeated)
     mean = float(before.mean())
     found = {"brightness_change": (float(after.mean()) - mean) / mean if mean > 0 else 0.0}
     if before.std() == 0 or after.std() == 0:
@@ -31,6 +31,7 @@ def measure_drift(first: NDArray[Any], repeated: NDArray[Any]) -> dict[str, floa
     return found
 
 
-def _grey(frame: NDArray[Any]) -> NDArray[np.float32]:
+def to_grey(frame: NDArray[Any]) -> NDArray[np.float32]:
+    """[h, w] or [h, w, 3] RGB, counts as stored, to grey [h, w]."""
     grey = cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) if frame.ndim == 3 else frame
     return np.ascontiguousarray(grey, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What a sweep measures of itself: the figures of its checks, by the names that they have in the end message."""
+"""The checks of a sweep and what they measured, by the names in the end message."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from acquire.sweep.settings import SweepSettings
 
 from .drift import measure_drift
 from .light_monitor import LightMonitor
-from .overlap import compare_overlap, overlap_picture
+from .overlap import compare_overlap, overlap_complaint, overlap_picture
 
 LIGHT_CHANGED_AT = "light_changed_at"
 """The first frame in another light than those before it; a resumed sweep keeps that of its first part."""
@@ -23,7 +23,7 @@ class SelfChecks:
     def __init__(self, settings: SweepSettings) -> None:
         self._settings = settings
         self.measured: dict[str, float] = {} if settings.resume is None else dict(settings.resume.marks)
-        self.complaint = "" if settings.resume is None else "the frame did not come again"
+        self.complaint = "" if settings.resume is None else "the frame did not arrive"
         """Why a resumed sweep must not go on; empty once the overlap check has passed."""
         self.first: NDArray[Any] | None = None if settings.resume is None else settings.resume.first
         """Frame 0; None before it was taken."""
@@ -35,8 +35,8 @@ class SelfChecks:
         resume = self._settings.resume
         assert resume is not None
         found = compare_overlap(resume.stored, pixels, resume.before, self._settings.plan.pitch_steps)
-        self.measured |= found.as_checks()
-        self.complaint = found.complaint(resume.limits)
+        self.measured |= found
+        self.complaint = overlap_complaint(found, resume.limits)
         return SavePicture("overlap.png", overlap_picture(resume.stored, pixels))
 
     def note_light_change(self, since: int) -> dict[str, float]:
