@@ -72,7 +72,8 @@ class RunningScan:
                 self._try(action)
         except SweepscopeError as error:
             logger.error("a device refused: %s", error)
-            self._stop_what_moves()
+            # also where the camera refused: the stage may have received a command that it did not answer
+            self._try(do.StopStage())
             position = self._rig.stage.status().position_steps
             alarm = Alarm("F12", str(error), position, position_trusted=False)
             for action in self.sweep.handle(alarm, now_ns):
@@ -84,10 +85,6 @@ class RunningScan:
             self._do(action)
         except SweepscopeError as error:
             logger.error("%s failed: %s", type(action).__name__, error)
-
-    def _stop_what_moves(self) -> None:
-        """Also where the camera refused; and the stage may have received a command that it did not answer."""
-        self._try(do.StopStage())
 
     @property
     def done(self) -> bool:
@@ -114,8 +111,15 @@ class RunningScan:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _carry_out(self, actions: list[do.Action]) -> None:
-        for action in actions:
-            self._do(action)
+        """Frames are published even if a device refuses an action before them: the sweep waits for their acks."""
+        for index, action in enumerate(actions):
+            try:
+                self._do(action)
+            except SweepscopeError:
+                for later in actions[index + 1 :]:
+                    if isinstance(later, do.Publish):
+                        self._do(later)
+                raise
 
     def _do(self, action: do.Action) -> None:  # noqa: C901, PLR0912 - one line for each action, nothing else
         stage, camera = self._rig.stage, self._rig.camera

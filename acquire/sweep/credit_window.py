@@ -1,7 +1,7 @@
 """Frame credit: how far the stage may trigger, from what the writer has committed. Pure: values in and out.
 
-Frame n may be triggered only while n <= (last frame of the committed prefix) + slots. So the frames between their
-trigger and their commit are bounded, and with them the memory that they need.
+Frame n may be triggered only while n <= (last frame of the committed prefix) + slots. This bounds the frames between
+trigger and commit, and the memory that they need.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class CreditWindow:
     prefix: int = 0
     """Frames 0..prefix-1 are all committed."""
     conflicts: int = 0
-    """Frames of which the file holds another version, or that it cannot take."""
+    """Frames that the file contains with other pixels, or that it will never take."""
     triggered_through: int = -1
     """The highest frame that was triggered in the segment; the one before its first where none was."""
     holds: int = 0
-    """How often the stage had to wait for the writer."""
+    """How often the stage had to wait for credit."""
     short: bool = False
-    """The stage waits for the writer; it goes on when half the window is free."""
+    """The stage waits for credit, until half the window is free."""
     running: bool = False
     """A segment is under way."""
     first: int = 0
@@ -64,7 +64,7 @@ class CreditWindow:
             self.prefix += 1
 
     def refuse(self, role: str, frame_index: int) -> None:
-        """The writer will never take this frame: it is no longer waited for."""
+        """The writer will never take this frame: its ack is no longer awaited."""
         if self.unacked.pop((role, frame_index), None) is not None:
             self.conflicts += 1
 
@@ -81,7 +81,7 @@ class CreditWindow:
         return self.prefix + self.slots - 1
 
     def free(self) -> int:
-        """Slots that are left for frames that were not triggered yet; 0 or less: none."""
+        """Slots left for frames that are not triggered yet; 0 or less: none."""
         return self.may_trigger_through() - self.triggered_through
 
     def begin(self, first: int, last: int, *, gated: bool, ahead: int | None) -> int:
@@ -110,16 +110,12 @@ class CreditWindow:
         if not self.running or not self._gated or self._must_wait():
             return None
         credit = self._credit(ahead)
-        if credit <= self._granted:
-            return None
-        self._granted = credit
-        return credit - self.first
+        granted, self._granted = self._granted, max(credit, self._granted)
+        return credit - self.first if credit > granted else None
 
     def awaits_trigger(self) -> bool:
-        """True while a trigger that has credit, or the segment's end, is still to come from the stage."""
-        if not self.running:
-            return False
-        return self.triggered_through < self._granted or self.triggered_through == self._last
+        """True while the stage still has to report a trigger that has credit, or the segment's end."""
+        return self.running and (self.triggered_through < self._granted or self.triggered_through == self._last)
 
     def _must_wait(self) -> bool:
         free = self.free()

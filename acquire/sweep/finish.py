@@ -1,6 +1,6 @@
-"""How a sweep ends: early or after its last frame, with a message that accounts for every frame. Nothing moves.
+"""The end of a sweep: early or after its last frame, with a message that accounts for every frame.
 
-No sweep ends as complete of which a frame is missing, and it ends also where no writer answers.
+A sweep of which a frame is missing never ends as complete. A sweep ends also when no writer answers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def give_up(sweep: SweepState, outcome: Outcome, code: str, detail: str, now_ns:
 
 
 def end_early(sweep: SweepState, outcome: Outcome, reason: str, now_ns: int) -> list[Action]:
-    """What was taken is kept, the rest stays missing. The first outcome stands."""
+    """Keep what was taken; the rest is missing. The first outcome is final."""
     if sweep.is_decided or sweep.phase not in BEFORE_MOTION | STAGE_PHASES:
         return []
     sweep.paused = sweep.window.short = False
@@ -39,15 +39,15 @@ def end_early(sweep: SweepState, outcome: Outcome, reason: str, now_ns: int) -> 
 
 
 def drain(sweep: SweepState, now_ns: int) -> None:
-    """The stage rests for good: wait until every frame that was taken is committed."""
+    """The stage has no more to do: wait until every frame that was taken is committed."""
     sweep.go(Decision.DRAIN, now_ns, sweep.settings.seal_ns)
 
 
 def seal_if_settled(sweep: SweepState, now_ns: int) -> list[Action]:
-    """Send the end when no frame is on its way any more."""
+    """Send the end message when every frame that was taken is committed."""
     if not sweep.intake.is_settled:
         return []
-    # a writer that is slow to come is waited for as at the start
+    # without any writer yet, wait as long as at the start
     wait_ns = sweep.settings.seal_ns if sweep.has_writer else sweep.settings.writer_start_ns
     sweep.go(Decision.SEAL, now_ns, wait_ns)
     if not sweep.is_decided:
@@ -56,12 +56,12 @@ def seal_if_settled(sweep: SweepState, now_ns: int) -> list[Action]:
 
 
 def sealed(sweep: SweepState, event: Sealed, now_ns: int) -> list[Action]:
-    """The writer answered to the end; where it could not seal, the scan can still be recovered."""
+    """The writer answered the end message; where it could not seal, the scan can be recovered and resumed."""
     if sweep.phase is not Phase.SEAL:
         return []
     end_ack = sweep.end_ack = event.end_ack
     sweep.go(Decision.CLOSE, now_ns, None)
-    # the writer has compared every frame with its checksum by now: what it reports counts
+    # the writer has verified every checksum by now
     sweep.window.revoke(end_ack.missing)
     if sweep.outcome is Outcome.INTERRUPTED or end_ack.sealed:
         return []
@@ -71,16 +71,16 @@ def sealed(sweep: SweepState, event: Sealed, now_ns: int) -> list[Action]:
 
 
 def writer_is_late(sweep: SweepState, now_ns: int) -> list[Action]:
-    """The writer did not make the file, commit or seal in time."""
+    """The writer did not create the file, commit or seal in time."""
     if not sweep.has_writer and sweep.phase is not Phase.DRAIN:
         fault = sweep.fault("F05", seconds=f"{sweep.settings.writer_start_ns / NS_PER_S:g}")
-        return abandon(sweep, Outcome.FAILED, "no writer made the file ready", fault, now_ns)
+        return abandon(sweep, Outcome.FAILED, "no writer created the scan file", fault, now_ns)
     reason = sweep.reason if sweep.outcome is Outcome.INTERRUPTED else "F03 the writer did not seal in time"
     return abandon(sweep, Outcome.INTERRUPTED, reason, sweep.fault("F03"), now_ns)
 
 
 def abandon(sweep: SweepState, outcome: Outcome, reason: str, fault: FaultReport, now_ns: int) -> list[Action]:
-    """No writer is there to seal the file."""
+    """End without a sealed file."""
     sweep.outcome, sweep.reason = outcome, reason
     sweep.go(Decision.ABANDON, now_ns, None)
     return [StopStage(), Disarm(), RaiseFault(fault)]

@@ -23,13 +23,10 @@ class Retakes:
     """Frames that arrived and were paired with their trigger."""
     attempts: dict[int, int] = field(default_factory=dict)
     """Lost attempts by frame index."""
-    lost: int = 0
-    """Lost attempts of all frames."""
 
     def lose(self, shots: Iterable[Shot]) -> Shot | None:
         """Count a lost attempt for each shot; returns the first that was lost too often, None when there is none."""
         for shot in shots:
-            self.lost += 1
             self.attempts[shot.frame_index] = self.attempts.get(shot.frame_index, 0) + 1
             if self.attempts[shot.frame_index] >= self.max_attempts:
                 return shot

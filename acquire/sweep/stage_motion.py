@@ -1,4 +1,4 @@
-"""What the stage does next: run after run until each frame is taken, then the checks. Nothing begins while it moves."""
+"""What the stage does next: runs until each frame is taken, then the checks. Nothing begins while it moves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .sweep_state import SweepState
 
 
 def first_motion(sweep: SweepState, now_ns: int) -> list[Action]:
-    """A resumed sweep takes its last frame again and compares it; another one begins."""
+    """Begin the first run; a resumed sweep takes its last frame again first, to compare it."""
     resume = sweep.settings.resume
     if resume is None:
         return _begin_run(sweep, 0, sweep.count - 1, now_ns)
@@ -21,11 +21,11 @@ def first_motion(sweep: SweepState, now_ns: int) -> list[Action]:
 
 
 def next_motion(sweep: SweepState, now_ns: int) -> list[Action]:
-    """The stage rests and no frame is awaited: next come missing frames, then the checks, then the end."""
+    """The stage rests and no frame is awaited: take missing frames, then make the checks, then end."""
     if sweep.phase is Phase.OVERLAP:
         if sweep.checks.complaint:
             return _refuse_overlap(sweep, now_ns)
-        return [Say("the rig is where it was: the sweep goes on"), *_next_run(sweep, now_ns)]
+        return [Say("the rig has not moved: the sweep goes on"), *_next_run(sweep, now_ns)]
     if sweep.phase is Phase.REPEAT:
         return _check_limit(sweep, now_ns)
     if sweep.is_decided:

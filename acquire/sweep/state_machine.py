@@ -1,8 +1,9 @@
 """The state machine of one sweep: events in, actions out. Pure: no device, socket or clock, and nothing is shared.
 
 It guarantees that every frame is either committed or named as missing, that the stage ends stopped, and that nothing
-ends as complete that is not. Here stands what each event means; what follows from it is kept in a file each:
-:mod:`.retakes`, :mod:`.stage_motion`, :mod:`.finish`. The phase changes only by the table in :mod:`.phases`.
+ends as complete that is not. This file handles the events; what the stage does next is decided in
+:mod:`acquire.sweep.stage_motion`, how the sweep ends in :mod:`acquire.sweep.finish`. The phase changes only by the
+table in :mod:`acquire.sweep.phases`.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ from .writer_events import refused, writer_ready
 _CAN_BE_RESUMED = frozenset({"F12", "F13", "F15"})
 """Alarms after which the specimen and the frames are as they were: the scan stays partial."""
 _LOST_CONTACT = {"lease": "F15", "link lost": "F12"}
-"""Reasons of holds that the controller begins by itself, and their faults."""
+"""Reasons for which the controller holds by itself, and their faults."""
 
 
 class Sweep(SweepState):
     """One sweep from its start to its sealed end."""
 
     def start(self, now_ns: int) -> None:
-        """The writer was told to make the file; nothing moves until it has."""
+        """The writer was told to create the file; nothing moves until it has."""
         self.deadline_ns = now_ns + self.settings.writer_start_ns
 
     def handle(self, event: on.SweepEvent, now_ns: int) -> list[Action]:
@@ -110,7 +111,7 @@ def _watch_light(sweep: Sweep, frame: CameraFrame, frame_index: int, now_ns: int
 
 
 def _retake(sweep: Sweep, loss: Loss, now_ns: int) -> list[Action]:
-    """Stop the run, so that the next one takes lost frames again; a frame that is lost too often is a fault."""
+    """Stop the run, so that the next one takes the lost frames again. A frame that is lost too often is a fault."""
     if sweep.phase in (Phase.REPEAT, Phase.OVERLAP) or not loss.shots:
         return []
     hopeless = sweep.retakes.lose(loss.shots)
@@ -125,14 +126,13 @@ def _retake(sweep: Sweep, loss: Loss, now_ns: int) -> list[Action]:
 
 
 def _on_camera_gone(sweep: Sweep, event: CameraGone, now_ns: int) -> list[Action]:
-    was_away = sweep.away
+    was_away, gone_ns = sweep.away, sweep.camera_gone_ns
     if event.back:
         sweep.camera_gone_ns = None
-        return [Say("the camera is back: frames that were lost are taken again")] if was_away else []
+        return [Say("the camera is back: lost frames are taken again")] if was_away else []
     actions: list[Action] = [] if was_away else [RaiseFault(sweep.fault("F18", detail=event.detail))]
     actions += _retake(sweep, sweep.intake.camera_gone(event.detail), now_ns)
-    if not was_away:
-        sweep.camera_gone_ns = now_ns
+    sweep.camera_gone_ns = now_ns if gone_ns is None else gone_ns
     return actions + (sweep.stop_stage(Decision.AWAIT_CAMERA, now_ns) if sweep.phase is Phase.RUN else [])
 
 
@@ -152,7 +152,8 @@ def _on_rest(sweep: Sweep, event: SegmentDone | Moved | Stopped, now_ns: int) ->
     sweep.position_steps, sweep.lost_contact = event.position_steps, False
     sweep.rest()
     if sweep.phase is Phase.LIMIT:
-        sweep.checks.count_lost_steps(event.steps_lost if isinstance(event, Moved) else None)
+        if isinstance(event, Moved) and event.steps_lost is not None:
+            sweep.checks.measured["steps_lost"] = float(event.steps_lost)
         drain(sweep, now_ns)
     elif sweep.phase in STAGE_PHASES:
         sweep.deadline_ns = None
@@ -164,7 +165,7 @@ def _on_held(sweep: Sweep, event: Held, now_ns: int) -> list[Action]:
     if event.reason not in _LOST_CONTACT:
         return []
     sweep.lost_contact = True
-    return [RaiseFault(sweep.fault(_LOST_CONTACT[event.reason], detail="it is waited for"))]
+    return [RaiseFault(sweep.fault(_LOST_CONTACT[event.reason], detail="waiting for it"))]
 
 
 def _on_alarm(sweep: Sweep, event: Alarm, now_ns: int) -> list[Action]:
@@ -177,9 +178,9 @@ def _on_alarm(sweep: Sweep, event: Alarm, now_ns: int) -> list[Action]:
 def _expect_stage(sweep: Sweep, now_ns: int) -> None:
     """The stage must answer by the deadline, but not while it holds or has no credit."""
     if sweep.phase in STAGE_PHASES:
-        runs = sweep.phase is Phase.RUN
-        waits = sweep.window.awaits_trigger() and not sweep.paused if runs else not sweep.at_rest
-        sweep.deadline_ns = now_ns + sweep.settings.motion_ns if waits else None
+        in_run = sweep.phase is Phase.RUN
+        awaited = sweep.window.awaits_trigger() and not sweep.paused if in_run else not sweep.at_rest
+        sweep.deadline_ns = now_ns + sweep.settings.motion_ns if awaited else None
 
 
 # ---- the operator ----
@@ -224,7 +225,7 @@ def _on_committed(sweep: Sweep, event: on.Committed, now_ns: int) -> list[Action
 def _on_tick(sweep: Sweep, event: on.Tick, now_ns: int) -> list[Action]:
     actions: list[Action] = [*sweep.intake.confirm(event.no_alarm_ns)]
     if sweep.camera_is_missed(now_ns):
-        actions += give_up(sweep, Outcome.INTERRUPTED, "F18", "it did not come back", now_ns)
+        actions += give_up(sweep, Outcome.INTERRUPTED, "F18", "it did not return", now_ns)
     loss = sweep.intake.overdue(now_ns)
     if loss is not None:
         return actions + _retake(sweep, loss, now_ns)
@@ -238,11 +239,11 @@ def _time_is_up(sweep: Sweep, now_ns: int) -> list[Action]:
     if sweep.phase in (Phase.WAIT_WRITER, Phase.DRAIN, Phase.SEAL):
         return writer_is_late(sweep, now_ns)
     if sweep.phase is Phase.AMBIENT:
-        return [Say("no ambient frame came: the camera does not answer"), *sweep.light_lamp(now_ns)]
+        return [Say("no ambient frame arrived: the camera does not answer"), *sweep.light_lamp(now_ns)]
     if sweep.phase is Phase.WARM_UP:
         return first_motion(sweep, now_ns)
     sweep.distrust_stage()
-    # a stage that does not answer may still hear
+    # a stage that does not answer may still obey
     return [StopStage(), *give_up(sweep, Outcome.INTERRUPTED, "F12", "the stage does not answer", now_ns)]
 
 

@@ -1,4 +1,4 @@
-"""The state of one sweep: one phase, one deadline, and its frames; and what the daemon shows of it. Pure."""
+"""The state of one sweep: phase, deadline and frames; and what the daemon shows of it. Pure."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .settings import SweepSettings
 
 @dataclass
 class SweepState:
-    """What a sweep knows; nothing of it is shared with anything outside of the sweep."""
+    """Nothing of it is shared with anything outside the sweep."""
 
     settings: SweepSettings
     slots: int
     """Frames that may be uncommitted at a time."""
     phase: Phase = Phase.WAIT_WRITER
     deadline_ns: int | None = None
-    """By when the awaited answer must be there; None while no answer is awaited."""
+    """Deadline of the awaited answer; None while no answer is awaited."""
     outcome: Outcome = Outcome.RUNNING
     """How the sweep ends; running until that is decided."""
     reason: str = ""
@@ -37,13 +37,13 @@ class SweepState:
     position_steps: int = 0
     """The last known position of the stage, in microsteps."""
     at_rest: bool = True
-    """The stage stands, or no answer of it is awaited any more."""
+    """The stage rests, or its answer is no longer awaited."""
     paused: bool = False
     """True from a pause, or a change of the light, until the operator resumes the sweep."""
     lost_contact: bool = False
-    """The controller holds because it and the host do not hear each other; it goes on by itself."""
+    """The controller holds because its link to the host is silent; it continues by itself."""
     camera_gone_ns: int | None = None
-    """Since when the camera is gone; None while it is there. The sweep goes on by itself when it is back."""
+    """Time at which the camera went away; None while it is there. The sweep continues by itself when it is back."""
     skip_checks: bool = False
     """All frames are taken, and the operator wants no more checks."""
     durable_count: int = 0
@@ -58,7 +58,7 @@ class SweepState:
     # ---- transitions ----
 
     def go(self, decision: Decision, now_ns: int, wait_ns: int | None) -> None:
-        """Change the phase by the table; ``wait_ns``: how long an answer is waited for, None: no answer is awaited.
+        """Change the phase by the table; ``wait_ns``: longest wait for an answer, None: no answer is awaited.
 
         Raises:
             IllegalTransitionError: the table has no such transition: a bug.
@@ -72,7 +72,7 @@ class SweepState:
         self.go(decision, now_ns, self.settings.motion_ns)
 
     def stop_stage(self, decision: Decision, now_ns: int) -> list[Action]:
-        """Frames that are on their way are still taken; what follows is decided when the stage rests."""
+        """Stop the stage; frames on their way are still taken, and the next decision is made when the stage rests."""
         self.go(decision, now_ns, None if self.at_rest else self.settings.motion_ns)
         return [] if self.at_rest else [StopStage()]
 
@@ -82,11 +82,11 @@ class SweepState:
         return [SetLamp(on=True)]
 
     def rest(self) -> None:
-        """The stage stands, or is not waited for any more."""
+        """The stage rests, or its answer is no longer awaited."""
         self.at_rest, self.window.running = True, False
 
     def distrust_stage(self) -> None:
-        """The controller failed: frames that it did not confirm are not taken, and it is not waited for."""
+        """The controller failed: frames that it did not confirm are not taken, its answers no longer awaited."""
         self.retakes.taken -= set(self.intake.fail())
         self.rest()
 
@@ -107,10 +107,9 @@ class SweepState:
         return self.camera_gone_ns is not None
 
     def camera_is_missed(self, now_ns: int) -> bool:
-        """The sweep waits for its camera, and has waited long enough."""
-        if self.camera_gone_ns is None or not self.can_pause:
-            return False
-        return now_ns - self.camera_gone_ns >= self.settings.camera_away_ns
+        """The sweep has waited for its camera long enough."""
+        gone_ns = self.camera_gone_ns
+        return gone_ns is not None and self.can_pause and now_ns - gone_ns >= self.settings.camera_away_ns
 
     @property
     def hold_reason(self) -> HoldReason | None:
@@ -149,6 +148,5 @@ class SweepState:
     @property
     def counters(self) -> dict[str, int]:
         """Every counter of the sweep, by name."""
-        window = self.window
-        more = {"lost": self.retakes.lost, "conflicts": window.conflicts, "holds_no_credit": window.holds}
-        return self.intake.counters | more
+        credit = {"conflicts": self.window.conflicts, "holds_no_credit": self.window.holds}
+        return self.intake.counters | credit | {"lost": sum(self.retakes.attempts.values())}

@@ -1,4 +1,4 @@
-"""What the writer's answers mean for a sweep: its file is ready, or a frame or the file is refused."""
+"""Answers of the writer: the scan file is ready; a frame, or the file, is refused."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .sweep_state import SweepState
 
 
 def writer_ready(sweep: SweepState, event: WriterReady, now_ns: int) -> list[Action]:
-    """The first writer has made the file: take the ambient frame, light the lamp. A later one is reported."""
+    """The first writer has created the file: take the ambient frame, light the lamp. A later one is reported."""
     sweep.window.commit(event.committed)
     if not sweep.has_writer and sweep.phase is Phase.SEAL:
         sweep.deadline_ns = now_ns + sweep.settings.seal_ns
     sweep.has_writer = True
     if sweep.phase is not Phase.WAIT_WRITER:
-        return [Say("the writer is back: frames that were on the way are sent again")] if event.came_back else []
+        return [Say("the writer is back: frames without an ack are sent again")] if event.came_back else []
     actions: list[Action] = []
     if not event.reserved:
         actions = [Say("this file system cannot reserve space: watch the disk")]
@@ -32,7 +32,7 @@ def writer_ready(sweep: SweepState, event: WriterReady, now_ns: int) -> list[Act
 
 
 def refused(sweep: SweepState, event: Refused, now_ns: int) -> list[Action]:
-    """The writer refused a frame or the file: a fault, the end of the sweep, or a matter of the moment."""
+    """The writer refused a frame or the file: a fault, the end of the sweep, or nothing to report."""
     nack = event.nack
     detail = f"{nack.reason}: {nack.detail}" if nack.detail else nack.reason
     fault = sweep.fault("F06" if nack.reason == "no space" else "F07", detail=detail)
@@ -40,12 +40,12 @@ def refused(sweep: SweepState, event: Refused, now_ns: int) -> list[Action]:
         return abandon(sweep, Outcome.FAILED, detail, fault, now_ns)
     if event.is_final:
         sweep.window.refuse(nack.role, nack.frame_index)
-        # a frame of the sweep that is never committed would block all that follow; a check frame may be in the file
-        # from before an interruption
+        # without this frame the committed prefix, and so the credit, would never grow again; a check frame may be in
+        # the file from before an interruption
         return give_up(sweep, Outcome.FAILED, "F07", detail, now_ns) if nack.role == "sweep" else []
     if nack.reason in ("crc", "shape"):
-        # it was damaged on its way, and is sent again
+        # damaged on its way; it is sent again
         detail = f"on its way to the writer: {detail}"
         return [RaiseFault(sweep.fault("F19", frame=nack.frame_index, attempts=1, detail=detail))]
-    # the others come and go with a writer
+    # the last three happen while a writer starts or ends
     return [] if nack.reason in ("no such scan", "busy", "superseded") else [RaiseFault(fault)]

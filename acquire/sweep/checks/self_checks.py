@@ -64,8 +64,3 @@ class SelfChecks:
         """Frame 0 was taken again after the last one: measure the drift."""
         assert self.first is not None
         self.measured |= measure_drift(self.first, repeated)
-
-    def count_lost_steps(self, steps_lost: int | None) -> None:
-        """The limit was touched again; None: this stage cannot count lost steps."""
-        if steps_lost is not None:
-            self.measured["steps_lost"] = float(steps_lost)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from acquire.cameras.protocol import CameraGone, CameraInfo, CameraLostError, CameraSettings
+from acquire.cameras.protocol import CameraFrame, CameraGone, CameraInfo, CameraLostError, CameraSettings
 from acquire.contract.config.load import load_config
 from acquire.contract.errors import CommandRefusedError
 from acquire.contract.messaging.messages import Command, FrameFormat
 from acquire.contract.states import Outcome, State
+from acquire.daemon.scan_runner import RunningScan
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
-from acquire.stages.protocol import Alarm, StageInfo, StageStatus
-from acquire.sweep.events import WriterReady
+from acquire.stages.protocol import Alarm, StageInfo, StageStatus, Triggered
+from acquire.sweep.events import Tick, WriterReady
 from tests.unit.rig_in_process import AdjustableClock
 
 NOW_NS = 10**15
@@ -29,7 +31,9 @@ class Device:
 
     def open(self, _sink):
         small = FrameFormat(width=16, height=16, bit_depth=8)
-        return StageInfo(kind="x") if self.kind == "stage" else CameraInfo(kind="x", format=small)
+        return (
+            StageInfo(kind="x", modes=("step", "fly")) if self.kind == "stage" else CameraInfo(kind="x", format=small)
+        )
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         return settings
@@ -95,6 +99,41 @@ def test_a_camera_that_does_not_answer_is_waited_for_and_neither_ends_the_sweep_
     running.handle(WriterReady(reserved=True, came_back=False), NOW_NS)
     assert running.sweep.outcome is Outcome.RUNNING and running.sweep.away
     assert [fault.code for fault in daemon.board.faults] == ["F18"]
+
+
+class Lane:
+    """Takes frames as the frame sender does, and sends nothing."""
+
+    def __init__(self) -> None:
+        self.offered = []
+
+    def begin(self, _start) -> None: ...
+
+    def send(self, *_args) -> bool:
+        return True
+
+    def offer(self, image, _pixels) -> None:
+        self.offered.append((image.role, image.frame_index))
+
+
+def test_a_frame_is_sent_although_the_stage_refused_to_stop_for_the_lost_one_before_it(daemon):
+    serve(daemon, "scan", name="test", purpose="raw", mode="fly")
+    ignore, lane, rig = lambda _what: None, Lane(), Rig(Device("stage"), Device("camera"))
+    rig.stage.refusing = {"stop"}
+    prepared = daemon.scans.running.prepared
+    scan = RunningScan(prepared, rig, lane, lane, on_fault=ignore, on_message=ignore, on_view=ignore)
+    plan, frame = prepared.settings.plan, np.zeros((16, 16), np.uint8)
+    scan.handle(WriterReady(reserved=True, came_back=False), NOW_NS)
+    scan.handle(CameraFrame(frame, 1, NOW_NS), NOW_NS)
+    now_ns = NOW_NS + 10**12
+    scan.handle(Tick(), now_ns)
+    shots = [now_ns + k * 10**9 for k in range(3)]
+    for k, at_ns in enumerate(shots):
+        scan.handle(Triggered(k, k, plan.position_steps(k), at_mono_ns=at_ns), now_ns)
+    for camera_frame_id, k in ((2, 0), (4, 2)):
+        scan.handle(CameraFrame(frame, camera_frame_id, shots[k]), now_ns)
+    assert lane.offered == [("ambient", 0), ("sweep", 0), ("sweep", 2)]
+    assert scan.sweep.outcome is Outcome.INTERRUPTED and sorted(scan.sweep.window.unacked) == sorted(lane.offered)
 
 
 def test_no_scan_begins_while_the_camera_is_away(daemon):
