@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
 from textual.message import Message
 
 from acquire.contract.states import State
 from tests.fakes.fake_daemon import PROGRESS, FakeDaemon
 from tests.waiting import Stopwatch, wait_for
 from tui.console.link.messages import CommandAnswered, LinkChanged, PageKnown, ProgressArrived, StatusArrived, Updates
-from tui.console.link.rig_link import AWAY_S, RigLink
+from tui.console.link.rig_link import RigLink
 
 
 class Ear:
@@ -193,8 +192,3 @@ def test_a_socket_path_that_is_too_long_is_told_not_raised(tmp_path):
     deep.mkdir()
     with linked(deep) as (_, ear):
         assert "longer than" in ear.wait(LinkChanged).detail
-
-
-@pytest.mark.parametrize("limit_s", [AWAY_S])
-def test_the_daemon_counts_as_away_before_two_seconds(limit_s):
-    assert limit_s < 2.0
