@@ -38,7 +38,7 @@ from tui.console.themes import THEMES
 from tui.text.status_text import is_running, newest_fault
 
 POLL_S = 0.5
-"""How often the terminal's link is looked at."""
+"""How often the terminal's link is checked."""
 RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last message."""
 BINDINGS = [
@@ -80,7 +80,7 @@ class ConsoleApp(App[None]):
         super().__init__(driver_class=driver_class)
         self.options = options
         self.now_s = now_s
-        self.state = ConsoleState(options.me, options.draft, clock)
+        self.state = ConsoleState(options.me, options.next_scan, clock)
         self.jobs = Jobs(self.say, self.refresh_view, self.call_later)
         self.meter = OutputMeter()
         self._rig: RigConnection = connect(self.post_message)
@@ -207,7 +207,7 @@ class ConsoleApp(App[None]):
                 return True
         return await super().run_action(action, default_namespace, namespaces)
 
-    def key_words(self, binding: Binding) -> str:
+    def key_label(self, binding: Binding) -> str:
         """The key of a binding as people write it, the operator's own where there is one."""
         keys = self.options.keymap.get(binding.id or "", binding.key)
         return self.get_key_display(binding.with_key(keys.split(",")[0].strip())).replace("⏎", "Enter")

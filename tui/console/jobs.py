@@ -31,7 +31,7 @@ MAX_JOBS = 4
 
 @dataclass(eq=False)
 class Job:
-    """One piece of work as it stands."""
+    """State of one job."""
 
     title: str
     """What it does, for the operator: ``verify 2026...-ear``."""
@@ -92,7 +92,7 @@ class Jobs:
         """
         self._say, self._on_change, self._call = say, on_change, call
         self.environ: dict[str, str] = {}
-        """Environment of the children, beside that of this process."""
+        """Variables for the children, in addition to the environment of this process."""
         self.running: list[Job] = []
         """The oldest first."""
         self._tasks: set[asyncio.Task[None]] = set()
@@ -188,7 +188,7 @@ class Jobs:
             stdin=DEVNULL,
             stdout=PIPE,
             stderr=STDOUT,
-            start_new_session=True,  # Ctrl-C in this terminal is not meant for it
+            start_new_session=True,  # Ctrl-C in this terminal must not reach it
             env={**os.environ, "PYTHONUNBUFFERED": "1", **self.environ},
             limit=MAX_LINE_BYTES,
         )

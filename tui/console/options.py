@@ -8,7 +8,7 @@ from pathlib import Path
 
 from acquire.contract.config.load import LoadedConfig
 from tui.client.client_name import my_name, user_name
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ConsoleOptions:
     """This console's name on the rig: ``anna on pts/3``."""
     screen: str = "scan"
     """The screen that is shown first."""
-    draft: ScanDraft = field(default_factory=ScanDraft)
+    next_scan: NextScan = field(default_factory=NextScan)
     """What the next scan starts from."""
     keymap: Mapping[str, str] = field(default_factory=dict)
     """The operator's own keys by binding id."""
@@ -41,6 +41,6 @@ def options_for(config: LoadedConfig) -> ConsoleOptions:
     """The options of this user's console on the rig of ``config``; flags of the command line come on top."""
     return ConsoleOptions(
         me=my_name(),
-        draft=ScanDraft.of_config(config.rig, operator=user_name()),
+        next_scan=NextScan.of_config(config.rig, operator=user_name()),
         data_dir=config.data_dir,
     )

@@ -44,7 +44,7 @@ class Shell(Protocol):
 
     @property
     def state(self) -> ConsoleState:
-        """What is known: rig, draft, log, faults."""
+        """What is known: the rig, the next scan, log, faults."""
 
     @property
     def jobs(self) -> Jobs:
@@ -69,7 +69,7 @@ class Shell(Protocol):
     def actions(self) -> list[Binding]:
         """The actions that every screen has."""
 
-    def key_words(self, binding: Binding) -> str:
+    def key_label(self, binding: Binding) -> str:
         """The key of a binding as people write it, the operator's own where there is one."""
 
     def screen_named(self, name: str) -> Screen[None]:

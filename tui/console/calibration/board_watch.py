@@ -1,4 +1,4 @@
-"""The child process that looks for the board in the preview: runs while it is wanted; its newest report is kept.
+"""The child process that looks for the board in the preview: started and stopped on demand, its newest report kept.
 
 A child that ended by itself is not started again at once, and its last words are shown until the next one reports.
 """

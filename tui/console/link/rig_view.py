@@ -1,4 +1,4 @@
-"""What the console knows of the rig at one moment, as one frozen value that every screen is given; pure."""
+"""What is known of the rig at one moment, as one frozen value for every screen; pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ProtocolError
-from acquire.contract.messaging.messages import Picture, ResultEnd, ResultMaps, ResultProgress, Status
+from acquire.contract.messaging.messages import Picture, ResultMaps, ResultProgress, Status
 from acquire.contract.rig_client.feed import picture_pixels
 
 
@@ -68,8 +68,6 @@ class RigView:
     """The newest camera picture; only screens that ask for pictures get fresh ones."""
     maps: MapsView | None = None
     """The newest sampled maps of the running or last scan."""
-    end: ResultEnd | None = None
-    """The last cloud that was written."""
     connected: bool = False
     """True while the daemon sends its status; otherwise everything here is what was last known."""
     url: str = ""

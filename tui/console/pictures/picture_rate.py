@@ -1,7 +1,7 @@
 """Decides when the next picture may go to the terminal and how fine it is, from the measured rate of the link; pure.
 
 One picture is under way at a time: the next waits until the terminal has answered for the last one, so a slow link
-never holds more than one. The time that a picture takes decides the detail, the rate of the link decides the rate.
+never holds more than one. How long a picture takes decides its detail, the rate of the link how often one is sent.
 """
 
 from __future__ import annotations

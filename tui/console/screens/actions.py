@@ -144,5 +144,5 @@ def _entries(screen: RigScreenBase) -> list[ActionEntry]:
         more = binding.tooltip if binding.tooltip and not why_not else ""
         words = f"{binding.description}: {more}" if more else binding.description
         name = screen.NAME if screen.is_own(binding.action) else ""
-        entries.append(ActionEntry(name, screen.shell.key_words(binding), words, binding.action, why_not))
+        entries.append(ActionEntry(name, screen.shell.key_label(binding), words, binding.action, why_not))
     return entries

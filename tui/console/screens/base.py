@@ -143,7 +143,7 @@ class RigScreenBase(Screen[None]):
         """What can be done now; keys that the panes show beside a value come last."""
         possible = [binding for binding in self.actions() if not self.why_not_now(binding.action)]
         return [
-            Offer(self.shell.key_words(binding), binding.description, self._addressed(binding.action))
+            Offer(self.shell.key_label(binding), binding.description, self._addressed(binding.action))
             for binding in sorted(possible, key=lambda binding: binding.id in self.IN_PANES)
         ]
 

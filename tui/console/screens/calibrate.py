@@ -154,7 +154,7 @@ class CalibrateScreen(CameraScreen):
     def default_target(self) -> int:
         """Where the sweep ends, the light is over the whole board; beyond, its edge no longer lies on a view."""
         assert self.view.status is not None
-        return self.draft.last_steps if self._progress.plane_step else self.view.status.travel_steps[1]
+        return self.next_scan.last_steps if self._progress.plane_step else self.view.status.travel_steps[1]
 
     def action_expose(self) -> None:
         """Search the exposure once; for a sweep with the light over the whole board."""
@@ -162,7 +162,7 @@ class CalibrateScreen(CameraScreen):
             super().action_expose()
             return
         assert self.view.status is not None
-        self._send_all(self._light.begin(self.draft.last_steps, self.view.status, self.shell.now_s()))
+        self._send_all(self._light.begin(self.next_scan.last_steps, self.view.status, self.shell.now_s()))
 
     def _send_all(self, commands: list[CommandCall]) -> None:
         def answered(answer: CommandAnswered) -> None:
@@ -240,7 +240,7 @@ class CalibrateScreen(CameraScreen):
     def action_sweep(self) -> None:
         """Sweep over the board as it lies."""
         name = f"board-{len(self._progress.sweeps.entries) + 1}"
-        self.send("scan", name=name, **self.draft.plan_args(), purpose="calibration")
+        self.send("scan", name=name, **self.next_scan.plan_args(), purpose="calibration")
 
     def action_pose(self) -> None:
         """Place the simulated board in the next pose."""

@@ -8,7 +8,7 @@ from acquire.contract.states import State
 from tui.console.screens.base import RigScreenBase
 from tui.console.screens.dialogs import FormDialog, FormField
 from tui.console.state import scan_rules
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 from tui.console.state.scan_forms import parse_position
 
 PREVIEW_HZ = 5.0
@@ -22,9 +22,9 @@ class CameraScreen(RigScreenBase):
     """The shared actions: all of them change the rig."""
 
     @property
-    def draft(self) -> ScanDraft:
+    def next_scan(self) -> NextScan:
         """The sweep that is being prepared."""
-        return self.shell.state.draft
+        return self.shell.state.next_scan
 
     def why_not(self, action: str) -> str:
         """The state of the rig decides."""
@@ -55,7 +55,7 @@ class CameraScreen(RigScreenBase):
         low, high = self.view.status.travel_steps
         limits = f"microsteps {low} to {high}, or um (5010um)"
         field = FormField("where", "go to", str(self.default_target()), help=limits)
-        um_per_microstep = self.draft.um_per_microstep
+        um_per_microstep = self.next_scan.um_per_microstep
         form = FormDialog(
             "go to", [field], lambda texts: parse_position(texts["where"], um_per_microstep), done="moves"
         )

@@ -30,7 +30,7 @@ class Jogging:
         """``steps`` fine steps in one bounded move; repeats of the keyboard meanwhile are ignored."""
         wanted = steps * self.fine_steps
         if status.position_trusted:
-            um_per_microstep = self._screen.shell.state.draft.um_per_microstep
+            um_per_microstep = self._screen.shell.state.next_scan.um_per_microstep
             move = clip(status.position_steps, wanted, status.travel_steps, um_per_microstep)
             wanted = move.steps
             if move.words:

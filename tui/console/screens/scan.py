@@ -19,7 +19,7 @@ from tui.console.screens.scan_dialogs import AdjustDialog, LatestValue, plan_dia
 from tui.console.shell import Shell
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import FAST_FACTOR
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 from tui.console.widgets.log_pane import LogPane
 from tui.console.widgets.picture import MODES
 from tui.console.widgets.picture_pane import PicturePane
@@ -103,7 +103,7 @@ class ScanScreen(CameraScreen):
         self._log = LogPane(())
         self._jogging = Jogging(self)
         self._settling: Timer | None = None
-        self._estimated: tuple[ScanDraft, float | None] | None = None
+        self._estimated: tuple[NextScan, float | None] | None = None
 
     def body(self) -> ComposeResult:
         """Picture and log on the left, the panes on the right."""
@@ -130,7 +130,7 @@ class ScanScreen(CameraScreen):
         running = is_running(view.status)
         self.set_class(running, "running")
         self.set_class(not running, "resting")
-        self._stage.fine_steps, self._plan.draft = self._jogging.fine_steps, self.draft
+        self._stage.fine_steps, self._plan.next_scan = self._jogging.fine_steps, self.next_scan
         self._progress.note(view, self.shell.now_s())
         for pane in (self._stage, self._light, self._plan, self._progress):
             pane.show(view)
@@ -146,7 +146,7 @@ class ScanScreen(CameraScreen):
         binding = next(binding for binding in self.own_bindings if binding.action == action)
         if not self.check_action(action_name(action), ()):
             return "", False
-        return self.shell.key_words(binding), not self.why_not_now(action)
+        return self.shell.key_label(binding), not self.why_not_now(action)
 
     def why_not(self, action: str) -> str:
         """A jog that would be refused because of our own move may be pressed: it waits for the end of the move."""
@@ -154,15 +154,15 @@ class ScanScreen(CameraScreen):
 
     # ---- the plan and its estimate ----
 
-    def _change(self, draft: ScanDraft) -> None:
-        self.shell.state.draft = draft
+    def _change(self, scan: NextScan) -> None:
+        self.shell.state.next_scan = scan
         self.show_all(self.view)
 
     def _estimate_when_settled(self, view: RigView) -> None:
         status = view.status
         if not view.connected or status is None or is_running(status) or not status.position_trusted:
             return
-        wanted = (self.draft, status.camera.get("exposure_ms"))
+        wanted = (self.next_scan, status.camera.get("exposure_ms"))
         if wanted == self._estimated:
             return
         self._estimated = wanted
@@ -172,36 +172,36 @@ class ScanScreen(CameraScreen):
         self._settling = self.set_timer(SETTLE_S, self._request_estimate)
 
     def _request_estimate(self) -> None:
-        draft = self.draft
+        scan = self.next_scan
 
         def take(answer: CommandAnswered) -> None:
-            if draft == self.draft:
+            if scan == self.next_scan:
                 self._plan.estimate = Estimate.of_answer(ok=answer.ok, detail=answer.detail, result=answer.result)
                 self._plan.changed()
 
-        self.send("estimate", take, **draft.scan_args())
+        self.send("estimate", take, **scan.scan_args())
 
     def action_set_first(self) -> None:
         """First position: where the stage is."""
         assert self.view.status is not None
-        self._change(replace(self.draft, first_steps=self.view.status.position_steps))
+        self._change(replace(self.next_scan, first_steps=self.view.status.position_steps))
 
     def action_set_last(self) -> None:
         """Last position: where the stage is."""
         assert self.view.status is not None
-        self._change(replace(self.draft, last_steps=self.view.status.position_steps))
+        self._change(replace(self.next_scan, last_steps=self.view.status.position_steps))
 
     def action_plan(self) -> None:
         """Type the plan."""
-        self.ask(plan_dialog(self.draft, self.view.status), self._change)
+        self.ask(plan_dialog(self.next_scan, self.view.status), self._change)
 
     def action_mode(self) -> None:
         """Step or fly."""
-        self._change(replace(self.draft, mode="step" if self.draft.mode == "fly" else "fly"))
+        self._change(replace(self.next_scan, mode="step" if self.next_scan.mode == "fly" else "fly"))
 
     def action_words(self) -> None:
         """Type name, specimen, operator, notes, tags."""
-        self.ask(words_dialog(self.draft), self._change)
+        self.ask(words_dialog(self.next_scan), self._change)
 
     def action_prescan(self) -> None:
         """A coarse sweep that proposes the bounds."""
@@ -212,7 +212,7 @@ class ScanScreen(CameraScreen):
         status = self.view.status
         if status is None or status.proposal is None:
             return
-        self._change(self.draft.with_proposal(status.proposal))
+        self._change(self.next_scan.with_proposal(status.proposal))
         if not self.why_not_now("adjust") and status.camera.get("exposure_ms") != status.proposal.exposure_ms:
             self.send("camera", exposure_ms=status.proposal.exposure_ms)
 
@@ -222,10 +222,10 @@ class ScanScreen(CameraScreen):
         """Ask for a name and start a sweep."""
 
         def start(name: str) -> None:
-            self._change(replace(self.draft, name=name))
-            self.send("scan", **self.draft.scan_args())
+            self._change(replace(self.next_scan, name=name))
+            self.send("scan", **self.next_scan.scan_args())
 
-        self.ask(start_dialog(self.draft, self._plan.estimate, self.view.status), start)
+        self.ask(start_dialog(self.next_scan, self._plan.estimate, self.view.status), start)
 
     def action_pause(self) -> None:
         """Hold the sweep."""

@@ -1,4 +1,4 @@
-"""What this console knows: the rig as last reported, the draft of the next scan, log, faults, STOP, open answers."""
+"""What this console knows: the rig as last reported, the next scan, log, faults, STOP, open answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tui.console.link.messages import (
 )
 from tui.console.link.rig_view import RigView
 from tui.console.state.fault_log import FaultLog
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 from tui.console.state.session_log import SessionLog, local_time
 from tui.console.state.stop_state import StopState
 from tui.text.status_text import newest_fault
@@ -32,10 +32,10 @@ OnAnswer = Callable[[CommandAnswered], Any]
 class ConsoleState:
     """Takes the updates of the link; the screens read it."""
 
-    def __init__(self, me: str, draft: ScanDraft, clock: Callable[[], str] = local_time) -> None:
+    def __init__(self, me: str, next_scan: NextScan, clock: Callable[[], str] = local_time) -> None:
         """``me`` is this console's name on the rig; ``clock`` gives the time of day for the log."""
         self.view = RigView(me=me)
-        self.draft = draft
+        self.next_scan = next_scan
         self.log = SessionLog(clock)
         self.faults = FaultLog()
         self.stop = StopState()
@@ -81,7 +81,6 @@ class ConsoleState:
             self.log.say(f"{result.points} points in {result.cloud_path} ({result.seconds:.2f} s after the last frame)")
         elif result.message:
             self.log.say(f"no cloud: {result.message}", "warning")
-        self.view = replace(self.view, end=result)
 
     def _take_link(self, connected: bool, detail: str) -> None:
         if connected:

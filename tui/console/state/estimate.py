@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from acquire.contract.units import format_bytes, format_duration
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Estimate:
         except (KeyError, TypeError, ValueError):
             return cls()
 
-    def words(self, draft: ScanDraft, width: int = 80) -> str:
+    def words(self, scan: NextScan, width: int = 80) -> str:
         """``527 frames  0:00:36  415.2 MB of 80.1 GB free``, without the free space where there is no room."""
         if not self.known:
-            return f"{draft.frames} frames"
+            return f"{scan.frames} frames"
         short = f"{self.expected} frames  {format_duration(self.seconds)}  {format_bytes(self.nbytes)}"
         long = f"{short} of {format_bytes(self.free_bytes)} free"
         return long if len(long) <= width else short

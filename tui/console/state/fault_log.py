@@ -30,7 +30,7 @@ class LoggedFault:
         return self.report.code, self.report.at_mono_ns
 
     def as_text(self) -> str:
-        """All of it, for a message to somebody else."""
+        """All of it, for a message to another person."""
         seen = "acknowledged" if self.report.acknowledged else "not acknowledged"
         return (
             f"{self.at}  {self.report.code}  {self.report.happened}\n  safe:  {self.report.safe}\n"

@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 
 NAME_WORDS = "not a name: use 1 to 64 letters, digits, - _ . without spaces"
 
@@ -43,14 +43,14 @@ def parse_number(text: str, label: str, low: float, high: float) -> float:
     return value
 
 
-def parse_plan(texts: dict[str, str], draft: ScanDraft, travel_steps: tuple[int, int]) -> ScanDraft:
-    """The draft with the plan that was typed.
+def parse_plan(texts: dict[str, str], scan: NextScan, travel_steps: tuple[int, int]) -> NextScan:
+    """``scan`` with the plan that was typed.
 
     Raises:
         ValueError: a value is wrong or outside its limits.
     """
-    first = parse_position(texts["first"], draft.um_per_microstep)
-    last = parse_position(texts["last"], draft.um_per_microstep)
+    first = parse_position(texts["first"], scan.um_per_microstep)
+    last = parse_position(texts["last"], scan.um_per_microstep)
     for label, position in (("first", first), ("last", last)):
         if travel_steps[0] < travel_steps[1] and not travel_steps[0] <= position <= travel_steps[1]:
             raise ValueError(f"{label}: {position} is outside of the travel, {travel_steps[0]} to {travel_steps[1]}")
@@ -61,20 +61,18 @@ def parse_plan(texts: dict[str, str], draft: ScanDraft, travel_steps: tuple[int,
     if mode not in ("step", "fly"):
         raise ValueError(f"mode: {texts['mode']!r} is neither step nor fly")
     settle_ms = parse_number(texts["settle"], "settle time", 0, 60_000)
-    return replace(
-        draft, first_steps=first, last_steps=last, steps_per_frame=int(steps), mode=mode, settle_ms=settle_ms
-    )
+    return replace(scan, first_steps=first, last_steps=last, steps_per_frame=int(steps), mode=mode, settle_ms=settle_ms)
 
 
-def parse_words(texts: dict[str, str], draft: ScanDraft) -> ScanDraft:
-    """The draft with name, specimen, operator, notes, tags.
+def parse_words(texts: dict[str, str], scan: NextScan) -> NextScan:
+    """``scan`` with name, specimen, operator, notes and tags.
 
     Raises:
         ValueError: the name cannot be part of a folder's name.
     """
     tags = tuple(tag for tag in re.split(r"[,\s]+", texts["tags"]) if tag)
     return replace(
-        draft,
+        scan,
         name=parse_name(texts["name"]),
         specimen=texts["specimen"],
         operator=texts["operator"],

@@ -1,6 +1,6 @@
 """STOP from the key to the confirmation by the rig's own state; pure.
 
-The thread that reads the keys sends STOP, the event loop announces it; either may hear of the other first.
+The thread that reads the keys sends STOP, the event loop announces it; either may come first.
 """
 
 from __future__ import annotations

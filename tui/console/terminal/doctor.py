@@ -46,7 +46,7 @@ class Measured:
     rate_bytes_per_s: float | None
     """None: faster than could be measured, or no answer."""
     synchronised: bool
-    """It can be told to show a picture in one go."""
+    """It knows synchronised output: a picture appears in one go."""
 
 
 def findings(

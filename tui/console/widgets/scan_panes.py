@@ -10,7 +10,7 @@ from acquire.contract.units import format_duration
 from tui.console.link.rig_view import RigView
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import FAST_FACTOR
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 from tui.console.widgets.lines import KeyOf, Pane, append_key
 from tui.text.sparkline import History, sparkline
 from tui.text.status_text import bar, credit_words, fraction_done, is_running, outcome_line, rate_words, scan_name
@@ -108,20 +108,20 @@ class PlanPane(ScanPane):
 
     BORDER_TITLE = "plan"
     DEFAULT_CSS = "PlanPane { height: 9; }"
-    draft = ScanDraft()
+    next_scan = NextScan()
     estimate = Estimate()
 
     def fill(self, text: Text, status: Status, width: int) -> None:
         """Name, bounds, steps, estimate, the proposal of a pre-scan, the worst warning or the last outcome."""
-        draft = self.draft
-        about = "  ".join(part for part in (draft.specimen, draft.operator, " ".join(draft.tags)) if part)
-        self.key(text, "words", "").append(shorten(draft.name, width - 2), style="bold")
-        text.append(shorten(f"  {about}", max(0, width - 2 - len(draft.name))), style="dim").append("\n")
-        self.key(text, "set_first", f"first {draft.first_steps:6} {draft.um(draft.first_steps):9.1f} um\n")
-        self.key(text, "set_last", f"last  {draft.last_steps:6} {draft.um(draft.last_steps):9.1f} um\n")
-        self.key(text, "plan", f"{draft.steps_per_frame}/frame = {draft.um(draft.steps_per_frame):.1f} um  ")
-        self.key(text, "mode", "fly\n" if draft.mode == "fly" else f"step, settle {draft.settle_ms:g} ms\n")
-        text.append(shorten(self.estimate.words(draft, width), width), "bold" if self.estimate.known else "")
+        scan = self.next_scan
+        about = "  ".join(part for part in (scan.specimen, scan.operator, " ".join(scan.tags)) if part)
+        self.key(text, "words", "").append(shorten(scan.name, width - 2), style="bold")
+        text.append(shorten(f"  {about}", max(0, width - 2 - len(scan.name))), style="dim").append("\n")
+        self.key(text, "set_first", f"first {scan.first_steps:6} {scan.um(scan.first_steps):9.1f} um\n")
+        self.key(text, "set_last", f"last  {scan.last_steps:6} {scan.um(scan.last_steps):9.1f} um\n")
+        self.key(text, "plan", f"{scan.steps_per_frame}/frame = {scan.um(scan.steps_per_frame):.1f} um  ")
+        self.key(text, "mode", "fly\n" if scan.mode == "fly" else f"step, settle {scan.settle_ms:g} ms\n")
+        text.append(shorten(self.estimate.words(scan, width), width), "bold" if self.estimate.known else "")
         text.append("\n")
         self._proposal(text, status)
         text.append("\n")

@@ -88,7 +88,7 @@ def test_every_action_has_a_key_an_id_and_words():
         await console.connect()
         for entry in SCREENS:
             screen = console.app.screen_named(entry.name)
-            keys = [console.app.key_words(binding) for binding in screen.actions()]
+            keys = [console.app.key_label(binding) for binding in screen.actions()]
             assert len(set(keys)) == len(keys), f"two actions of {entry.name} share a key: {sorted(keys)}"
             assert all(binding.id and binding.description for binding in screen.actions())
 
@@ -208,7 +208,7 @@ def test_an_underscore_in_a_field_for_words_is_a_space():
         await console.press("i")
         assert isinstance(console.app.screen, FormDialog)
         await console.press("tab", *"left", "underscore", *"ear", "enter")
-        assert console.app.state.draft.specimen == "left ear"
+        assert console.app.state.next_scan.specimen == "left ear"
 
     play(script)
 

@@ -12,7 +12,7 @@ from tests.fakes.fake_daemon import IDLE, SWEEPING
 from tui.console.keys import load_keymap
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import JogGate, clip, next_size
-from tui.console.state.scan_draft import ScanDraft
+from tui.console.state.next_scan import NextScan
 from tui.console.state.scan_forms import parse_plan, parse_position, parse_words
 from tui.console.state.scan_rules import why_not
 from tui.console.state.stop_state import StopState
@@ -129,7 +129,7 @@ PLAN = {"first": "10", "last": "400", "steps": "5", "settle": "2.5", "mode": "fl
 
 
 def test_a_plan_is_read():
-    plan = parse_plan(PLAN, ScanDraft(), TRAVEL)
+    plan = parse_plan(PLAN, NextScan(), TRAVEL)
     assert plan.plan_args() == {
         "first_steps": 10, "last_steps": 400, "steps_per_frame": 5, "mode": "fly", "settle_ms": 2.5
     }  # fmt: skip
@@ -147,22 +147,22 @@ def test_a_plan_is_read():
 )
 def test_a_plan_that_cannot_be_is_refused_by_name(wrong, words):
     with pytest.raises(ValueError, match=words):
-        parse_plan(PLAN | wrong, ScanDraft(), TRAVEL)
+        parse_plan(PLAN | wrong, NextScan(), TRAVEL)
 
 
 def test_words_about_a_scan_reach_its_arguments_and_empty_ones_do_not():
     typed = {"name": "ear-2", "specimen": "left ear", "operator": "", "notes": "dry", "tags": "a, b c"}
-    args = parse_words(typed, ScanDraft()).scan_args()
+    args = parse_words(typed, NextScan()).scan_args()
     assert args["specimen"] == "left ear" and args["tags"] == ["a", "b", "c"] and "operator" not in args
     with pytest.raises(ValueError, match="not a name"):
-        parse_words(typed | {"name": "../x"}, ScanDraft())
+        parse_words(typed | {"name": "../x"}, NextScan())
 
 
 def test_a_proposal_is_taken_over_into_the_plan():
     found = Proposal(
         first_steps=120, last_steps=900, exposure_ms=20, frames=261, seconds=20, nbytes=1, free_bytes=2
     )  # fmt: skip
-    assert ScanDraft().with_proposal(found).plan_args()["first_steps"] == 120
+    assert NextScan().with_proposal(found).plan_args()["first_steps"] == 120
 
 
 def test_an_answer_without_numbers_leaves_the_estimate_unknown_and_a_refusal_is_kept():
@@ -170,7 +170,7 @@ def test_an_answer_without_numbers_leaves_the_estimate_unknown_and_a_refusal_is_
     assert Estimate.of_answer(ok=False, detail="the disk is full", result={}).refused == "the disk is full"
     full = {"expected": 5, "seconds": 3.0, "bytes": 10, "free_bytes": 20, "warnings": ["w"]}
     assert (
-        Estimate.of_answer(ok=True, detail="", result=full).words(ScanDraft()) == "5 frames  0:00:03  10 B of 20 B free"
+        Estimate.of_answer(ok=True, detail="", result=full).words(NextScan()) == "5 frames  0:00:03  10 B of 20 B free"
     )
 
 

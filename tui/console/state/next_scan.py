@@ -10,7 +10,7 @@ from acquire.contract.messaging.messages import Proposal
 
 
 @dataclass(frozen=True)
-class ScanDraft:
+class NextScan:
     """Everything that can be set before a scan starts."""
 
     first_steps: int = 0
@@ -23,17 +23,15 @@ class ScanDraft:
     settle_ms: float = 5.0
     """Time between the end of a step and the trigger, in ms."""
     um_per_microstep: float = 3.175
-    run_up_steps: int = 48
     name: str = "sweep"
     specimen: str = ""
     operator: str = ""
     notes: str = ""
     tags: tuple[str, ...] = ()
-    purpose: str = "object"
 
     @classmethod
-    def of_config(cls, rig: RigConfig, operator: str = "") -> ScanDraft:
-        """The draft that the configuration gives."""
+    def of_config(cls, rig: RigConfig, operator: str = "") -> NextScan:
+        """The defaults of the configuration."""
         return cls(
             first_steps=rig.sweep.first_steps,
             last_steps=rig.sweep.last_steps,
@@ -41,7 +39,6 @@ class ScanDraft:
             mode=rig.sweep.mode,
             settle_ms=rig.stage.settle_ms,
             um_per_microstep=rig.stage.um_per_microstep,
-            run_up_steps=rig.stage.run_up_steps,
             operator=operator,
         )
 
@@ -72,9 +69,9 @@ class ScanDraft:
             **self.plan_args(),
             **{key: text for key, text in words.items() if text},
             **({"tags": list(self.tags)} if self.tags else {}),
-            "purpose": self.purpose,
+            "purpose": "object",
         }
 
-    def with_proposal(self, proposal: Proposal) -> ScanDraft:
-        """The draft with the bounds of a pre-scan."""
+    def with_proposal(self, proposal: Proposal) -> NextScan:
+        """The same with the bounds of a pre-scan."""
         return replace(self, first_steps=proposal.first_steps, last_steps=proposal.last_steps)
