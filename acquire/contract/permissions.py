@@ -10,8 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+from acquire.contract.messaging.messages import Status
+
 from .errors import CommandRefusedError
-from .messaging.messages import Status
 from .states import RUNNING_STATES, HoldReason, State
 
 _ANY: Final = frozenset(State)

@@ -28,18 +28,18 @@ from acquire.contract.process.notify import Notifier
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import State
 from acquire.contract.units import NS_PER_S, steps_to_um
+from acquire.daemon.commands.activity_commands import ActivityCommands
+from acquire.daemon.commands.command_server import CommandServer
+from acquire.daemon.commands.control import Control
+from acquire.daemon.commands.device_commands import DeviceCommands
+from acquire.daemon.commands.scan_commands import ScanCommands
+from acquire.daemon.commands.service_commands import ServiceCommands
+from acquire.daemon.commands.table import CommandDispatcher, command_table
 from acquire.rigs.base import DeviceEvent, Rig
 from acquire.rigs.build import build_rig
 from acquire.rigs.status_board import StatusBoard
 
 from .clock_watch import ClockWatch
-from .commands.activity_commands import ActivityCommands
-from .commands.command_server import CommandServer
-from .commands.control import Control
-from .commands.device_commands import DeviceCommands
-from .commands.scan_commands import ScanCommands
-from .commands.service_commands import ServiceCommands
-from .commands.table import CommandDispatcher, command_table
 from .event_queue import EventQueue
 from .frame_sender import FrameSender
 from .lamp_timer import LampTimer

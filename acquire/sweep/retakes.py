@@ -1,6 +1,7 @@
-"""Retakes: which frames are taken, and which are taken again because their frame was lost. Pure.
+"""Retakes: which frames of the plan have arrived, how often each was lost, and which the next run takes. Pure.
 
-A lost frame is just not taken, so the next run of the stage includes it.
+A lost frame is not entered as taken, so the next run includes it. :func:`.state_machine._retake` decides whether the
+run is stopped for it, or the sweep ends because the frame was lost too often.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Retakes:
         return None
 
     def next_run(self) -> tuple[int, int] | None:
-        """First and last frame of the first run that is not taken yet, retakes included; None when all are taken."""
+        """First and last index of the first gap in the taken frames; None if there is no gap."""
         first = next((k for k in range(self.count) if k not in self.taken), None)
         if first is None:
             return None

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from acquire.contract.faults import report
 from acquire.contract.messaging.messages import EndAck, FaultReport
 from acquire.contract.states import HoldReason, Outcome, State
+from acquire.sweep.checks.self_checks import SelfChecks
 
 from .actions import Action, SetLamp, StopStage
-from .checks.self_checks import SelfChecks
 from .credit_window import CreditWindow
 from .frame_intake import FrameIntake
 from .phases import BEFORE_MOTION, SHOOTING, Decision, Phase, next_phase

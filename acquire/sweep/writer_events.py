@@ -32,7 +32,11 @@ def writer_ready(sweep: SweepState, event: WriterReady, now_ns: int) -> list[Act
 
 
 def refused(sweep: SweepState, event: Refused, now_ns: int) -> list[Action]:
-    """The writer refused a frame or the file: a fault, the end of the sweep, or nothing to report."""
+    """The writer refused a frame or the file.
+
+    A full or failing disk (F06, F07) is a fault but does not end the sweep: ``FrameSender`` sends the frame again every
+    second, and the stage holds because its credit does not grow. A refusal that cannot be cured ends the sweep.
+    """
     nack = event.nack
     detail = f"{nack.reason}: {nack.detail}" if nack.detail else nack.reason
     fault = sweep.fault("F06" if nack.reason == "no space" else "F07", detail=detail)

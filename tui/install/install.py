@@ -19,15 +19,7 @@ from acquire.contract.config.load import load_config
 from acquire.contract.errors import SweepscopeError
 from tui.install.machine import InstallError, point, put, run
 from tui.install.paths import InstallPaths
-from tui.install.systemd import (
-    ALL_SERVICES,
-    TARGET,
-    refuse_during_a_sweep,
-    restart,
-    systemctl,
-    systemd_runs,
-    unit_text,
-)
+from tui.install.systemd import ALL_SERVICES, TARGET, refuse_during_a_sweep, restart, systemctl, systemd_runs, unit_text
 
 OWNER = "sweepscope"
 """User and group of the services."""

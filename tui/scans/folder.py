@@ -12,13 +12,7 @@ from typing import Literal
 
 from acquire.contract.errors import ScanFileError, SweepscopeError
 from acquire.contract.process.run_dir import FileLock, is_locked
-from acquire.contract.scan_data.dataset_names import (
-    CLOUD_NAME,
-    MAPS_NAME,
-    OWNER_LOCK_NAME,
-    PARTIAL_NAME,
-    SEALED_NAME,
-)
+from acquire.contract.scan_data.dataset_names import CLOUD_NAME, MAPS_NAME, OWNER_LOCK_NAME, PARTIAL_NAME, SEALED_NAME
 from acquire.contract.scan_data.notes import Notes, notes_of
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.scan_data.report_file import find_report

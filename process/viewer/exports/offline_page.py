@@ -9,9 +9,9 @@ from viser import _messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 from viser.infra._infra import WebsockMessageHandler
 
-from process.viewer.markup import STYLE, html_of, legend_html
 from process.viewer.rig_client.tile import BoundingBox
 from process.viewer.scene.camera_views import DEFAULT_BOUNDS, FOV_RAD, overview
+from process.viewer.status_html import STYLE, html_of, legend_html
 from process.viewer.stream.point_nodes import POINT_FILL
 from process.viewer.stream.viser_connection import point_message
 

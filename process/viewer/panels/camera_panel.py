@@ -7,9 +7,9 @@ import viser
 from numpy.typing import NDArray
 
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot
 from process.viewer.scene.scene import RigShown
+from process.viewer.status_html import small_html
 
 from .widgets import write
 

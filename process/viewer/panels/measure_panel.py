@@ -13,8 +13,8 @@ import viser
 from numpy.typing import NDArray
 from viser import uplot
 
-from process.viewer.markup import html_of
 from process.viewer.rig_client.tile import Tile
+from process.viewer.status_html import html_of
 from process.viewer.stream.point_nodes import PointNodes
 
 from .picking import Distance, PickedPoint, Profile, Ray, measurements_csv, pick, profile, quality_words

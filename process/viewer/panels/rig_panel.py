@@ -12,10 +12,10 @@ from typing import Any
 import viser
 
 from acquire.contract.messaging.messages import Status
-from process.viewer.markup import note_html, small_html
 from process.viewer.rig_client.commands import CommandThread
 from process.viewer.rig_client.control import BrowserControl
 from process.viewer.rig_client.feed import Snapshot
+from process.viewer.status_html import note_html, small_html
 from process.viewer.status_text import allowed, heading
 
 from .widgets import write

@@ -19,8 +19,8 @@ from acquire.contract.units import NS_PER_S
 from process.viewer.exports.files import file_of, report_of, screenshot_of
 from process.viewer.exports.results_list import ListedScan, OpenedScan, facts_of, list_scans, open_scan, read_tiles
 from process.viewer.exports.shown_cloud import ShownCloud
-from process.viewer.markup import small_html
 from process.viewer.rig_client.feed import Snapshot
+from process.viewer.status_html import small_html
 from process.viewer.stream.browser_stream import BrowserStreams
 
 from .shown_scan import ShownScan

@@ -7,8 +7,8 @@ import time
 import viser
 
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import STYLE, SceneFacts, html_of, status_html
 from process.viewer.rig_client.feed import Snapshot
+from process.viewer.status_html import STYLE, SceneFacts, html_of, status_html
 
 from .widgets import write
 
@@ -16,7 +16,7 @@ BEAT_NS = NS_PER_S
 
 
 class StatusPanel:
-    """The texts; a view-only page has nothing else."""
+    """Shows the HTML of :mod:`process.viewer.status_html`; a view-only page has no other panel."""
 
     def __init__(self, server: viser.ViserServer, *, view_only: bool) -> None:
         self._view_only = view_only

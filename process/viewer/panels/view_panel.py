@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import viser
 
-from process.viewer.markup import legend_html
 from process.viewer.rig_client.tile import BoundingBox
 from process.viewer.scene.camera_views import VIEWS, CameraViews
+from process.viewer.status_html import legend_html
 from process.viewer.stream.colouring import MODES, QUANTITIES, ColourMode, ValueRange, ViewSettings
 from process.viewer.stream.point_nodes import PointNodes
 

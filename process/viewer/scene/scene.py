@@ -18,10 +18,10 @@ from acquire.contract.process.clocks import Clock
 from acquire.contract.scan_data.file_layout import read_layout
 from acquire.contract.states import RUNNING_STATES
 from acquire.contract.units import NS_PER_S, nice_length
-from process.viewer.markup import SceneFacts
 from process.viewer.rig_client.feed import Snapshot, TileChanges
 from process.viewer.rig_client.tile import BoundingBox
 from process.viewer.server.guarded_server import GuardedServer
+from process.viewer.status_html import SceneFacts
 from process.viewer.stream.browser_stream import BrowserStreams
 from process.viewer.stream.colouring import ViewSettings
 from process.viewer.stream.point_nodes import PointNodes

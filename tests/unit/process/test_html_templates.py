@@ -10,8 +10,8 @@ import pytest
 
 from process.calibration.report_page import quarter_circle_page
 from process.html_templates import render
-from process.viewer.markup import note_html, small_html
 from process.viewer.rig_client.commands import CommandNote
+from process.viewer.status_html import note_html, small_html
 
 EVIL = "<script>alert('frog')</script>"
 HARMLESS = "&lt;script&gt;"

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from acquire.contract.colormaps import table
-from process.viewer.markup import legend_html
 from process.viewer.rig_client.tile import Tile
+from process.viewer.status_html import legend_html
 from process.viewer.stream.colouring import (
     PROVISIONAL_RGB,
     ValueRange,

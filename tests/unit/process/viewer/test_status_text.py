@@ -3,8 +3,8 @@ import pytest
 from acquire.contract.faults import report
 from acquire.contract.messaging.messages import ResultProgress, Status
 from acquire.contract.units import NS_PER_S
-from process.viewer.markup import SceneFacts, status_html
 from process.viewer.rig_client.feed import Peer, Snapshot
+from process.viewer.status_html import SceneFacts, status_html
 from process.viewer.status_text import allowed, heading, remarks, saved_line, scan_name
 
 NOW_NS = 1000 * NS_PER_S

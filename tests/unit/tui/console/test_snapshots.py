@@ -10,14 +10,7 @@ from acquire.contract.states import Outcome, State
 from tests.fakes.fake_daemon import IDLE, PROGRESS, SWEEPING, wandering_disc
 from tests.fakes.fake_link import FakeLink
 from tui.console.app import ConsoleApp
-from tui.console.link.messages import (
-    LinkChanged,
-    PageKnown,
-    PictureArrived,
-    ProgressArrived,
-    StatusArrived,
-    Updates,
-)
+from tui.console.link.messages import LinkChanged, PageKnown, PictureArrived, ProgressArrived, StatusArrived, Updates
 from tui.console.link.rig_view import PictureView
 
 SIZES = [(80, 24), (160, 50)]

@@ -1,4 +1,4 @@
-"""The texts of the page as HTML, from the templates in ``templates/``. Pure."""
+"""The status of rig, results and scene as HTML rows beside the scene, from ``templates/``. Pure."""
 
 from __future__ import annotations
 
