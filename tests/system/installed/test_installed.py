@@ -68,7 +68,7 @@ def prepare(root: ThrowawayRoot) -> None:
 def install(root: ThrowawayRoot, *words: str, **more: Any) -> str:
     words = ("install", "--packages-from", PACKAGES_INSIDE, *words)
     # the kernels of a first installation are compiled by whatever processors there are
-    done = root.sweepscope_from_clone(*words, deadline_s=300.0, **more)
+    done = root.sweepscope_from_clone(*words, deadline_s=900.0, **more)
     return done.stdout + done.stderr
 
 
