@@ -1,1 +1,1 @@
-"""Algorithm 4: points."""
+"""Algorithm 4 of the paper: from crossings to points; cloud.ply."""

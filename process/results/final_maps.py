@@ -1,8 +1,9 @@
-"""From a fold to maps and cloud: the estimate of the settings over all frames, then the points."""
+"""From a fold to maps and cloud: the crossings by the method of the settings, then the points."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,12 @@ def final_maps(
     if not cursor.folded.any():
         raise ScanFileError(f"{frames.layout.path} holds no frame that can be used: there is nothing to reconstruct")
     present = cursor.fold.present
-    maps = maps_of(cursor.fold, settings, lambda pixels: (present, frames.columns(present, pixels)))
+
+    def levels(pixels: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[Any]]:
+        first = np.zeros(len(pixels), np.int64)
+        return present, frames.columns_of(present)(pixels, first, first + len(present)).T
+
+    maps = maps_of(cursor.fold, settings, levels)
     if settings.method == "linear":  # the paper's estimate, as it is: neither filtered nor weighted
         maps = marked(maps, frames.other_light())
         return Refined(maps, assumed_noise(settings.noise_counts), np.full(maps.mask.shape, np.nan, np.float32))

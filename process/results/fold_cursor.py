@@ -1,33 +1,17 @@
-"""Owns the order of the fold: frame k only after 0..k-1, from the live lane or the file, each known by its checksum."""
+"""Feed a fold in order: frame k only after 0..k-1, from the live lane or the file, each identified by its checksum."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from process.fold.fold import Fold
 
-
-class FrameFile(Protocol):
-    """What the cursor needs of a scan file (``frames.ScanFrames``)."""
-
-    damaged: set[int]
-
-    def usable(self) -> NDArray[np.bool_]:
-        """Frames that are committed and good now, [n]."""
-        ...
-
-    def crc32(self) -> NDArray[np.uint32]:
-        """Recorded checksums now, [n]."""
-        ...
-
-    def frame(self, frame_index: int, crc32: int, room: NDArray[Any] | None = None) -> NDArray[Any] | None:
-        """Pixels, in ``room`` [h, w] if they fit there, or None if they do not have this checksum."""
-        ...
+from .scan_frames import ScanFrames
 
 
 @dataclass
@@ -39,7 +23,7 @@ class CursorCounts:
     refolded: int = 0
     """Frames that had been folded when the fold had to start again."""
     buffer_full: int = 0
-    """Live frames that came too early and found no room; they are read from the file instead."""
+    """Live frames that came early and found the buffer full; they are read from the file instead."""
 
 
 class FoldCursor:
@@ -50,7 +34,7 @@ class FoldCursor:
     """
 
     def __init__(self, new_fold: Callable[[], Fold], count: int, buffer_frames: int) -> None:
-        """Start before frame 0 of ``count``; at most ``buffer_frames`` live frames wait for a gap to be filled."""
+        """For ``count`` frames; at most ``buffer_frames`` live frames wait for a gap to be filled."""
         self._new_fold = new_fold
         self._room = buffer_frames
         self._waiting: dict[int, tuple[int, NDArray[Any]]] = {}
@@ -67,11 +51,6 @@ class FoldCursor:
         """True if every frame is folded or skipped."""
         return self.next_index >= self.count
 
-    @property
-    def waits_for_file(self) -> bool:
-        """True if later frames are here already and the next one is not."""
-        return bool(self._waiting)
-
     def wants(self, frame_index: int) -> bool:
         """True if :meth:`offer` has a use for this frame; a frame that finds the buffer full is counted."""
         if not self.next_index <= frame_index < self.count:
@@ -82,10 +61,10 @@ class FoldCursor:
         return True
 
     def offer(self, frame_index: int, crc32: int, pixels: NDArray[Any]) -> bool:
-        """A live frame whose checksum was found right; folds it and whatever it was waited for.
+        """Fold a live frame whose checksum is right, and the frames that waited for it.
 
         Returns:
-            True if the fold went on. A frame that is behind the cursor is ignored: if it differs, the comparison at
+            True if a frame was folded. One that the cursor has passed is ignored: if it differs, the comparison at
             the end finds it.
 
         Raises:
@@ -102,30 +81,30 @@ class FoldCursor:
         return True
 
     def fill(
-        self, file: FrameFile, *, limit: int, through: int | None = None, never: NDArray[np.bool_] | None = None
+        self, file: ScanFrames, *, limit: int, through: int | None = None, never: NDArray[np.bool_] | None = None
     ) -> int:
         """Fold up to ``limit`` frames from the file, and live frames that follow them.
 
         Args:
             file: the scan.
-            limit: bound on the frames read in this call, so that a caller can look at its sockets in between.
+            limit: most frames read in this call, so that the caller can serve its sockets in between.
             through: last frame index to be read; None: any.
             never: frames that will not be committed any more, [n]; they are skipped while they are missing.
 
         Returns:
             Number of frames read.
         """
-        usable, crc32 = file.usable(), file.crc32()
+        present, crc32 = file.present(), file.field("crc32")
         read = 0
         last = self.count if through is None else through
         while read < limit and not self.done and self.next_index <= last:
             frame_index = self.next_index
-            if not usable[frame_index]:
+            if not present[frame_index]:
                 if never is None or not never[frame_index]:
                     break
                 self.next_index += 1
                 continue
-            pixels = file.frame(frame_index, int(crc32[frame_index]), self.fold.room())
+            pixels = file.pixels(frame_index, int(crc32[frame_index]), self.fold.room())
             read += 1
             if pixels is None:
                 self.next_index += 1
@@ -135,11 +114,11 @@ class FoldCursor:
             self._drain()
         return read
 
-    def differs_from(self, file: FrameFile) -> list[int]:
-        """Frames whose folded state is not that of the file: other checksum, folded but not there, or left out."""
-        usable, crc32 = file.usable(), file.crc32()
-        wrong = self.folded & (~usable | (self.crc32 != crc32))
-        wrong |= ~self.folded & usable
+    def differs_from(self, file: ScanFrames) -> list[int]:
+        """Frames that were folded otherwise than the file has them: other checksum, not in the file, or left out."""
+        present, crc32 = file.present(), file.field("crc32")
+        wrong = self.folded & (~present | (self.crc32 != crc32))
+        wrong |= ~self.folded & present
         return [int(k) for k in np.flatnonzero(wrong) if self.folded[k] or int(k) not in file.damaged]
 
     def restart(self) -> None:

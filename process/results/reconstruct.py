@@ -40,7 +40,7 @@ class Summary:
 
     @property
     def warnings(self) -> list[str]:
-        """What a person should know."""
+        """What the user should know."""
         return self.results.report.warnings
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -12,14 +11,13 @@ from numpy.typing import NDArray
 from acquire.contract.errors import ScanFileError
 from acquire.contract.scan_data.bayer import BAYER, demosaiced
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
-from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader
 from process.edge_fit.pixel_columns import ReadColumns, gathered
 from process.fold.fold import to_grey
 
 
-class ScanFrames:
-    """The frames of one scan file, checked against their checksums."""
+class ScanFrames(ScanReader):
+    """A scan whose frames are read as the fold takes them, each checked against its checksum."""
 
     def __init__(self, scan: Path) -> None:
         """Open SCAN.
@@ -27,76 +25,31 @@ class ScanFrames:
         Raises:
             ScanFileError: as ``ScanReader``.
         """
-        self._reader = _open(scan)
+        try:
+            super().__init__(scan)
+        except FileNotFoundError:  # the writer sealed, and so renamed, the file at this moment
+            super().__init__(scan)
         self.damaged: set[int] = set()
         """Frames whose stored pixels do not have their checksum; they are treated as missing."""
         self._mapped: NDArray[Any] | None = None
         self._scratch: NDArray[Any] | None = None
 
-    def __enter__(self) -> ScanFrames:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
-        """Close the file; idempotent."""
+        """Close the file; may be called again."""
         self._mapped = None
-        self._reader.close()
-
-    @property
-    def layout(self) -> ScanLayout:
-        """What never changes."""
-        return self._reader.layout
-
-    @property
-    def count(self) -> int:
-        """Frames of the plan."""
-        return self._reader.count
-
-    @property
-    def outcome(self) -> str:
-        """As it is now; ``running`` until the writer seals."""
-        return self._reader.outcome
-
-    @property
-    def measured(self) -> dict[str, float]:
-        """What was measured around the sweep; empty until it was sealed, and in scans of earlier versions."""
-        return self._reader.measured
-
-    def other_light(self) -> NDArray[np.bool_]:
-        """Frames that were taken after the light had changed, bool [n]."""
-        return self._reader.other_light()
-
-    def usable(self) -> NDArray[np.bool_]:
-        """Frames that are committed and good now, [n]."""
-        return self._reader.present()
-
-    def status(self) -> NDArray[np.uint8]:
-        """Commit records as they are now, [n] (``FrameStatus``)."""
-        return self._reader.status()
-
-    def crc32(self) -> NDArray[np.uint32]:
-        """Recorded checksums as they are now, [n]; meaningful for present frames."""
-        return self._reader.field("crc32")
-
-    def positions_um(self) -> NDArray[np.float64]:
-        """Recorded stage positions, [n]; NaN where they are not known."""
-        return self._reader.field("position_um")
+        super().close()
 
     def digest(self) -> str:
         """Digest over the frames that are present now."""
-        return scan_digest(np.where(self.usable(), self.crc32(), 0).astype(np.uint32))
+        return scan_digest(np.where(self.present(), self.field("crc32"), 0).astype(np.uint32))
 
-    def frame(self, frame_index: int, crc32: int, room: NDArray[Any] | None = None) -> NDArray[Any] | None:
+    def pixels(self, frame_index: int, crc32: int, room: NDArray[Any] | None = None) -> NDArray[Any] | None:
         """Grey or RGB pixels of a committed frame; None (and ``damaged``) if they do not have this checksum.
 
         With ``room`` ([h, w] of the stored type) a grey frame is read into it, and any other into memory of this
         object, where the next one replaces it: fresh memory for each frame costs more time than reading it.
         """
-        stored = self._reader.frame(frame_index, None if room is None else self._target(room))
+        stored = self.frame(frame_index, None if room is None else self._target(room))
         if frame_crc32(stored) != crc32:
             self.damaged.add(frame_index)
             return None
@@ -110,33 +63,22 @@ class ScanFrames:
             self._scratch = np.empty(form.shape, np.dtype(form.dtype))
         return self._scratch
 
-    def columns(self, frames: NDArray[np.intp], pixels: NDArray[np.intp]) -> NDArray[Any]:
-        """Grey values of a few ``pixels`` (flat indices) in all ``frames``, [len(frames), len(pixels)]."""
-        form = self.layout.format
-        found = np.empty((len(frames), len(pixels)), np.dtype(form.dtype))
-        for row, frame_index in enumerate(frames):
-            image = demosaiced(self._reader.frame(int(frame_index)), form.pixel_format)
-            chosen = image.reshape(form.height * form.width, -1)[pixels]
-            grey = chosen[:, 0] if image.ndim == 2 else to_grey(chosen[None], form.bit_depth)[0]
-            found[row] = grey
-        return found
-
     def columns_of(self, frames: NDArray[np.int64]) -> ReadColumns:
-        """How the grey levels of single pixels are read over ``frames``, the same as those of the whole frames.
+        """A function that reads the grey levels of single pixels over ``frames``; equal to those of the whole frames.
 
         Raises:
             ScanFileError: the file was cut short.
         """
         form = self.layout.format
         if self._mapped is None:
-            self._mapped = self._reader.mapped()
+            self._mapped = self.mapped()
         stored = self._mapped
         if form.pixel_format in BAYER or not stored.flags.aligned:
             return lambda pixels, first, end: self._rows_of(frames, pixels, first, end)
         stack = stored.reshape(len(stored), form.height * form.width, -1)
 
         def read(pixels: NDArray[np.int64], first: NDArray[np.int64], end: NDArray[np.int64]) -> NDArray[Any]:
-            self._reader.check_length()
+            self.check_length()
             values = gathered(stack, frames, pixels, first, end)
             return values.reshape(values.shape[:2]) if values.shape[2] == 1 else to_grey(values, form.bit_depth)
 
@@ -156,18 +98,10 @@ class ScanFrames:
         for place in range(int(first.min(initial=len(frames))), int(end.max(initial=0))):
             some = np.flatnonzero((first <= place) & (place < end))
             if len(some):
-                self._reader.read_rows(int(frames[place]), begin, band)
+                self.read_rows(int(frames[place]), begin, band)
                 grey = to_grey(demosaiced(band, form.pixel_format), form.bit_depth)
                 out[some, place - first[some]] = grey.reshape(-1)[inside[some]]
         return out
-
-
-def _open(scan: Path) -> ScanReader:
-    """A reader; the writer may give the file its last name between two looks at it."""
-    try:
-        return ScanReader(scan)
-    except FileNotFoundError:
-        return ScanReader(scan)
 
 
 def open_frames(scan: Path, scan_uid: str) -> ScanFrames | None:

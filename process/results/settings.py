@@ -48,7 +48,7 @@ class ReconstructOptions:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a scan says of itself, in its file or in its start message."""
+    """What a scan recorded of itself, in its file or in its start message."""
 
     format: FrameFormat
     plan: SweepPlan | None = None
@@ -58,7 +58,7 @@ class Recorded:
 
 
 def recorded_in(layout: ScanLayout) -> Recorded:
-    """What a scan file says of itself.
+    """What a scan file recorded.
 
     Raises:
         ScanFileError: the recorded configuration or calibration is no text.
@@ -90,7 +90,7 @@ class Settings:
 
     @property
     def live_method(self) -> Literal["linear", "probit"]:
-        """Estimate of the points while the sweep runs: from two samples, which the fold holds."""
+        """Estimate while the sweep runs: from two samples, which the fold holds."""
         return "linear" if self.method == "linear" else "probit"
 
     @property

@@ -1,4 +1,4 @@
-"""Owns how long the stages of a reconstruction took."""
+"""How long the stages of a reconstruction take, for the report."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class Timings:
     """Seconds per stage, summed."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    """By the clock."""
+    """Elapsed time."""
     processor_s: dict[str, float] = field(default_factory=dict)
-    """Of all threads of this process: what it costs, whatever else the machine does."""
+    """Processor time of all threads of this process: the cost, however busy the machine is."""
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -95,7 +95,7 @@ def write_results(
     with timings.stage("maps"):
         refined = final_maps(cursor, frames, settings, early)
     with timings.stage("cloud"):
-        cloud = cloud_of(refined.maps, settings, cursor.folded, frames.positions_um())
+        cloud = cloud_of(refined.maps, settings, cursor.folded, frames.field("position_um"))
     digest = frames.digest()
     with timings.stage("write_cloud"):
         if cloud is not None:
@@ -149,7 +149,7 @@ def results_on_disk(cursor: FoldCursor, frames: ScanFrames, settings: Settings) 
     if made_of != (frames.layout.scan_uid, frames.digest(), frames.outcome) or frames.outcome not in SEALED_OUTCOMES:
         return None
     maps = final_maps(cursor, frames, settings).maps
-    return Results(paths, cloud_of(maps, settings, cursor.folded, frames.positions_um()), report)
+    return Results(paths, cloud_of(maps, settings, cursor.folded, frames.field("position_um")), report)
 
 
 def refresh_report(

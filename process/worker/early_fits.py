@@ -41,7 +41,7 @@ class EarlyFits:
         """Look for work in new maps of the fold; ``folded``: indices of the frames that the maps were made of."""
         if self.estimates is None:
             return
-        committed = frames.usable()[folded]
+        committed = frames.present()[folded]
         count = len(folded) if committed.all() else int(np.argmin(committed))
         try:
             self._sequence = sequence_of(frames, folded[:count], self._settings)

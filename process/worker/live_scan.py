@@ -150,7 +150,7 @@ class LiveScan:
         """Take the frames that are in the file already from there (after a late start)."""
         frames = self.frames()
         if frames is not None:
-            self._newest_live = max(self._newest_live, int(frames.usable().sum()) - 1)
+            self._newest_live = max(self._newest_live, int(frames.present().sum()) - 1)
 
     def fill(self) -> int:
         """Fold a few frames from the file where the live lane left a gap; returns how many were read."""
@@ -167,14 +167,14 @@ class LiveScan:
         if read:
             self._last_frame_ns = self._clock.now_ns()
             filled = slice(before, self.cursor.next_index)
-            known = frames.usable()[filled]
-            self._position_um[filled][known] = frames.positions_um()[filled][known]
+            known = frames.present()[filled]
+            self._position_um[filled][known] = frames.field("position_um")[filled][known]
         return read
 
     def _overdue(self, frames: ScanFrames) -> bool:
         """The next frame is in the file for so long that it must have been lost on the live lane."""
         frame_index, now_ns = self.cursor.next_index, self._clock.now_ns()
-        if not frames.usable()[frame_index]:
+        if not frames.present()[frame_index]:
             return False
         if self._seen_in_file[0] != frame_index:
             self._seen_in_file = (frame_index, now_ns)
@@ -237,7 +237,7 @@ class LiveScan:
         if self.results is not None or self.failure or not self.cursor.done:
             return False
         frames = self.frames()
-        return frames is not None and (self.ended or bool(frames.usable().all()))
+        return frames is not None and (self.ended or bool(frames.present().all()))
 
     def finish(self) -> Results:
         """Compare the fold with the file, fold again what differs, and write the results beside the scan file.

@@ -1,4 +1,4 @@
-"""Owns the cloud as tiles of the image: which changed since they were sent, and their bytes for the results lane."""
+"""The cloud as tiles of the image: which of them changed since they were sent, and their bytes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class TileGrid:
 
 
 class LiveTiles:
-    """What a subscriber of the results lane has been sent, and how to bring it up to date."""
+    """The tiles as they were sent to the subscribers of the results lane, and what changed since."""
 
     def __init__(self, width: int, height: int) -> None:
         self.grid = TileGrid(width, height)
@@ -49,12 +49,12 @@ class LiveTiles:
     def update(
         self, cloud: PointCloud, provisional: NDArray[np.bool_], *, everything: bool = False
     ) -> tuple[list[TileHeader], bytes]:
-        """Headers and payload of the tiles that changed (all with points, and those that lost theirs, if told so).
+        """Headers and payload of the tiles that changed.
 
         Args:
             cloud: the points now.
             provisional: [n], True while a point's pixel may still get brighter.
-            everything: send tiles whether they changed or not.
+            everything: also of the tiles that did not change, if they have or had points.
         """
         tile = self.grid.of(cloud.pixels)
         counts = np.bincount(tile, minlength=self.grid.count)

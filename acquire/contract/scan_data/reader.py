@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from acquire.contract.errors import ScanFileError
 from acquire.contract.files import replace_file
 
-from .checksums import frame_crc32
 from .dataset_names import CHECK_ROLES, MARKS_NAME, MEASURED, MEASURED_BYTES, FrameStatus
 from .file_layout import read_layout
 
@@ -62,7 +61,7 @@ class ScanReader:
             os.close(self._fd)
             self._fd = -1
 
-    def __enter__(self) -> ScanReader:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -204,10 +203,6 @@ class ScanReader:
         size = self.layout.frame_nbytes
         raw = self._read(self.layout.regions["checks/data"].offset + index * size, size)
         return np.frombuffer(raw, dtype=self.layout.format.dtype).reshape(self.layout.format.shape)
-
-    def crc_is_right(self, frame_index: int) -> bool:
-        """True if the stored pixels have the stored checksum."""
-        return frame_crc32(self.frame(frame_index)) == int(self.field("crc32")[frame_index])
 
     def _read(self, offset: int, size: int) -> bytes:
         raw = os.pread(self._fd, size, offset)

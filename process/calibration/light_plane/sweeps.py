@@ -83,7 +83,7 @@ def fold_sweep(
     crossing, sigma, quality = (maps[name] for name in ("crossing", "sigma", "quality"))
     mask, low, high = (maps[name] for name in ("mask", "min", "max"))
     with ScanFrames(scan) as frames:
-        layout, positions = frames.layout, frames.positions_um()
+        layout, positions = frames.layout, frames.field("position_um")
     name = layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem
     if clean:
         _refuse_faults(name, quality[mask != 0], int((mask != 0).sum()))
@@ -104,7 +104,7 @@ def sweep_coordinate(scan: Path) -> tuple[F8, str]:
         ScanFileError: no readable scan.
     """
     with ScanFrames(scan) as frames:
-        return _coordinate(frames.positions_um())
+        return _coordinate(frames.field("position_um"))
 
 
 def _coordinate(positions: F8) -> tuple[F8, str]:

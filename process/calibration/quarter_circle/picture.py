@@ -93,7 +93,7 @@ def open_slide_sweep(scan: Path) -> SlideSweep:
         CalibrationError: hardly anything is ever lit.
     """
     with ScanFrames(scan) as frames:
-        usable, layout = frames.usable(), frames.layout
+        usable, layout = frames.present(), frames.layout
         indices = np.flatnonzero(usable)
         low, high = _extremes(frames, indices)
         depth = 2.0 ** (layout.format.bit_depth - 8)
@@ -105,7 +105,7 @@ def open_slide_sweep(scan: Path) -> SlideSweep:
                 "field, the lamp on"
             )
         dark, bright, count = _levels(frames, indices, low, high)
-        positions = frames.positions_um()
+        positions = frames.field("position_um")
     known = bool(np.isfinite(positions).all())
     typical = float(np.median(count[lit]))
     span = np.where(lit, bright - dark, np.float32(1)).astype(np.float32)
@@ -125,9 +125,9 @@ def open_slide_sweep(scan: Path) -> SlideSweep:
 
 
 def _greys(frames: ScanFrames, indices: NDArray[np.intp]) -> Iterator[tuple[int, F4]]:
-    checksums = frames.crc32()
+    checksums = frames.field("crc32")
     for index in indices:
-        pixels = frames.frame(int(index), int(checksums[index]))
+        pixels = frames.pixels(int(index), int(checksums[index]))
         if pixels is not None:
             grey = pixels if pixels.ndim == 2 else to_grey(pixels, frames.layout.format.bit_depth)
             yield int(index), grey.astype(np.float32)

@@ -19,7 +19,7 @@ from process.edge_fit.noise_model import assumed_noise
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import refine, starts
 from process.edge_fit.weighting import FrameSequence, WeightingFinder
-from process.fold.fold import Fold
+from process.fold.fold import Fold, to_grey
 from process.results.final_maps import new_fold
 from process.results.fold_cursor import FoldCursor
 from process.results.scan_frames import ScanFrames
@@ -138,7 +138,8 @@ def test_single_pixels_of_a_file_are_those_of_its_whole_frames(colour_scan):
         pixels = np.array([0, 95, 96 * 40 + 7, 96 * 72 - 1])
         first, end = np.array([0, 1, 0, 2]), np.array([4, 4, 2, 3])
         found = frames.columns_of(present)(pixels, first, end)
-        whole = frames.columns(present, pixels)
+        crc32 = frames.field("crc32")
+        whole = np.stack([to_grey(frames.pixels(k, int(crc32[k])), 8).ravel()[pixels] for k in present])
         for i in range(len(pixels)):
             assert np.array_equal(found[i, : end[i] - first[i]], whole[first[i] : end[i], i])
 
@@ -146,10 +147,10 @@ def test_single_pixels_of_a_file_are_those_of_its_whole_frames(colour_scan):
 def test_frames_read_one_over_the_other_are_those_read_alone(colour_scan):
     with ScanFrames(colour_scan) as frames:
         room = np.empty((72, 96), np.uint8)
-        for k, crc32 in enumerate(frames.crc32()[:5]):
-            again = frames.frame(k, int(crc32), room)
-            assert np.array_equal(again, frames.frame(k, int(crc32)))
-        assert frames.frame(0, int(frames.crc32()[1]), room) is None and frames.damaged == {0}
+        for k, crc32 in enumerate(frames.field("crc32")[:5]):
+            again = frames.pixels(k, int(crc32), room)
+            assert np.array_equal(again, frames.pixels(k, int(crc32)))
+        assert frames.pixels(0, int(frames.field("crc32")[1]), room) is None and frames.damaged == {0}
 
 
 def test_early_fits_stop_where_the_file_was_cut_short(colour_scan, tmp_path, caplog):

@@ -30,21 +30,21 @@ class MemoryFile:
     def __init__(self, count: int) -> None:
         self.damaged: set[int] = set()
         self.torn: set[int] = set()
-        self._usable = np.zeros(count, bool)
+        self._present = np.zeros(count, bool)
         self._crc32 = np.zeros(count, np.uint32)
 
     def commit(self, *frames: int) -> MemoryFile:
         for k in frames:
-            self._usable[k], self._crc32[k] = True, 100 + k
+            self._present[k], self._crc32[k] = True, 100 + k
         return self
 
-    def usable(self) -> np.ndarray:
-        return self._usable.copy()
+    def present(self) -> np.ndarray:
+        return self._present.copy()
 
-    def crc32(self) -> np.ndarray:
-        return self._crc32.copy()
+    def field(self, name: str) -> np.ndarray:
+        return {"crc32": self._crc32}[name].copy()
 
-    def frame(self, frame_index: int, crc32: int, room: np.ndarray | None = None) -> np.ndarray | None:
+    def pixels(self, frame_index: int, crc32: int, room: np.ndarray | None = None) -> np.ndarray | None:
         assert crc32 == 100 + frame_index
         if frame_index in self.torn:
             self.damaged.add(frame_index)
@@ -82,9 +82,9 @@ def test_live_frames_in_order_are_folded_at_once():
 def test_early_frames_wait_for_the_gap_and_follow_it():
     cursor = cursor_of(8)
     offer(cursor, 0, 3, 2)
-    assert fed(cursor) == [0] and cursor.waits_for_file
+    assert fed(cursor) == [0]
     offer(cursor, 1)
-    assert fed(cursor) == [0, 1, 2, 3] and not cursor.waits_for_file
+    assert fed(cursor) == [0, 1, 2, 3]
 
 
 def test_a_gap_is_filled_from_the_file_and_the_waiting_frames_follow():
