@@ -24,8 +24,11 @@ BLOCKS = TILE // BLOCK
 
 PLANES = 4
 MAXIMUM, TAIL_DIP, TAIL_RISE, MINIMUM = range(PLANES)
-"""Planes of a tile's state: the running maximum; the lowest value since; the largest rise above the running lowest
-value since; the lowest value before. min(TAIL_DIP, MINIMUM) is the minimum of algorithm 1."""
+"""Planes of a tile's state.
+
+MAXIMUM: running maximum. TAIL_DIP: lowest value since that maximum. TAIL_RISE: largest rise above the running lowest
+value since that maximum. MINIMUM: lowest value before that maximum. min(TAIL_DIP, MINIMUM) is Imin of algorithm 1.
+"""
 
 VALUE, BEFORE, DIP = range(3)
 """Columns of the log's levels: the new maximum, the frame before it, the lowest value since the maximum before."""

@@ -40,7 +40,7 @@ class _Writer:
     acknowledged: bool = False
     """It has sent start_ack for the scan that runs."""
     announced: bool = False
-    """The scan was announced to it since its last hello."""
+    """``start`` was sent to it, and it has not said hello since."""
 
 
 class FrameSender:
@@ -98,7 +98,11 @@ class FrameSender:
             self._send(end)
 
     def poll(self, now_ns: int) -> list[LaneEvent]:
-        """Handle the writer's messages; after a pause send again what it refused for lack of space."""
+        """Handle the writer's messages; returns them as events of the sweep.
+
+        A second after a refusal that may pass (no space, I/O error, damaged on the way, busy) all unacknowledged frames are
+        sent again.
+        """
         events: list[LaneEvent] = []
         for received in arrived(self.socket, MAX_BURST, self._unreadable):
             event = self._take(received, now_ns)

@@ -27,7 +27,10 @@ def give_up(sweep: SweepState, outcome: Outcome, code: str, detail: str, now_ns:
 
 
 def end_early(sweep: SweepState, outcome: Outcome, reason: str, now_ns: int) -> list[Action]:
-    """Keep what was taken; the rest is missing. The first outcome is final."""
+    """Stop the stage and end with what was taken; the rest is missing.
+
+    Only the first call decides the outcome; the writer can still turn it into INTERRUPTED.
+    """
     if sweep.is_decided or sweep.phase not in BEFORE_MOTION | STAGE_PHASES:
         return []
     sweep.paused = sweep.window.short = False

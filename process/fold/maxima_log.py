@@ -63,8 +63,8 @@ def thin_out(where, levels, entries, lost_low, sums, live, share):
     """Leave each pixel its share of entries; returns how many stay.
 
     sums [TILE]: running maximum + minimum. A pixel with too many first loses its lowest entries, as long as they lie
-    below the running S; the highest of these is kept in lost_low [TILE]. If more have to go, the newest entry stays,
-    those just below it go, and it is marked GAP.
+    below the running S; the highest of these is kept in lost_low [TILE]. If it still has too many, its newest entry
+    stays, the entries next below it are dropped, and the newest is marked GAP.
     """
     excess = np.maximum(live - share, 0).astype(np.int32)
     left = live.copy()
