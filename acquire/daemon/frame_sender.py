@@ -100,8 +100,8 @@ class FrameSender:
     def poll(self, now_ns: int) -> list[LaneEvent]:
         """Handle the writer's messages; returns them as events of the sweep.
 
-        A second after a refusal that may pass (no space, I/O error, damaged on the way, busy) all unacknowledged frames are
-        sent again.
+        A second after a refusal that may pass (no space, I/O error, damaged on the way, busy) all unacknowledged frames
+        are sent again.
         """
         events: list[LaneEvent] = []
         for received in arrived(self.socket, MAX_BURST, self._unreadable):

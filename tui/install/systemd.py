@@ -24,8 +24,8 @@ ASK_S = 3.0
 FAILED_STARTS = 3
 """A service that ended so often while we waited for it does not start."""
 START_S = 600.0
-"""Longest wait until the new services are ready: the first start compiles kernels, for minutes on a slow or busy machine
-(each restart goes on with what was compiled). A service that cannot start is noticed by its restarts."""
+"""Longest wait until the new services are ready: the first start compiles kernels, for minutes on a slow machine (each
+restart goes on with what was compiled). A service that cannot start is noticed by its restarts."""
 _MACHINE_ONLY = re.compile(r"\n# -+ for the machine only.*?(?=\n\[|\Z)", re.DOTALL)
 
 
