@@ -234,7 +234,6 @@ class ConsoleApp(App[None]):
         if self.state.stop.pressed():
             self._rig.send("stop")
         self.state.view = replace(self.state.view, stop_words=self.state.stop.words)
-        self.state.log.say("STOP sent; waiting until the rig confirms it", "warning")
         self.refresh_view()
 
     def action_go(self, name: str) -> None:

@@ -38,7 +38,7 @@ class ConsoleState:
         self.next_scan = next_scan
         self.log = SessionLog(clock)
         self.faults = FaultLog()
-        self.stop = StopState()
+        self.stop = StopState(lambda: self.log.say("STOP sent; waiting until the rig confirms it", "warning"))
         self._on_answer: dict[str, OnAnswer] = {}
 
     def expect_answer(self, request_id: str, on_answer: OnAnswer) -> None:

@@ -5,6 +5,9 @@ The thread that reads the keys sends STOP, the event loop announces it; either m
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from acquire.contract.messaging.messages import Status
 from acquire.contract.states import RUNNING_STATES, State
 from tui.text.status_text import position_words
@@ -15,7 +18,9 @@ _MOVING = RUNNING_STATES | {State.HOMING, State.MOVING}
 class StopState:
     """What was sent and what is confirmed."""
 
-    def __init__(self) -> None:
+    def __init__(self, on_sent: Callable[[], Any] = lambda: None) -> None:
+        """``on_sent`` is called once for each STOP, before anything else is said of it."""
+        self._on_sent = on_sent
         self.words = ""
         """What the screens show until the rig has confirmed the stop; empty otherwise."""
         self._unannounced = 0
@@ -39,6 +44,7 @@ class StopState:
     def _announce(self) -> None:
         self._answered_ns = None
         self.words = "STOP sent"
+        self._on_sent()
 
     def answered(self, *, ok: bool, at_mono_ns: int) -> None:
         """The daemon accepted STOP, or never answered; this may come before the key itself."""

@@ -174,6 +174,19 @@ def test_stop_is_confirmed_only_by_a_state_that_was_said_after_the_daemon_took_i
     play(script)
 
 
+def test_a_stop_that_is_confirmed_before_its_key_came_through_is_logged_in_order():
+    async def script(console):
+        await console.connect(SWEEPING)
+        console.app.stop_early()
+        await console.hear(CommandAnswered("stop", True, "", at_mono_ns=100))
+        await console.hear(StatusArrived(replace(IDLE, sent_mono_ns=101)))
+        await console.press("space")
+        assert console.log.index("STOP sent") < console.log.index("stopped at") and console.log.count("STOP sent") == 1
+        assert console.sent == [("stop", {})]
+
+    play(script)
+
+
 def test_a_stop_that_nobody_answered_is_called_not_confirmed():
     async def script(console):
         await console.connect(SWEEPING)
