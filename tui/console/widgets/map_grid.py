@@ -39,12 +39,13 @@ class MapGrid(Grid):
         row = min(width / 4 / columns, 2 * (height - 2) / rows)
         square = min(width / 2 / columns, 2 * (height / 2 - 2) / rows)
         across = 1 if self._alone is not None else 2 if square > row else 4
+        most = Size((width - across + 1) // across - 1, (height // 2 if across == 2 else height) - 2)
         self.set_class(across == 1, "alone")
         self.set_class(across == 2, "square")
         for layer in layers:
             view = self._views[layer.kind]
             view.display = self._alone in (None, layer.kind)
-            view.show(layer, window, (width - across + 1) // across - 1)
+            view.show(layer, window, most)
 
     @property
     def cells_across(self) -> int:

@@ -11,6 +11,7 @@ from rich.color import Color
 from rich.segment import Segment
 from rich.style import Style
 from textual.events import Click
+from textual.geometry import Size
 from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
@@ -82,18 +83,18 @@ class MapView(Widget):
         self._window: MapWindow | None = None
         self._cursor = (-1, -1)
         self._high = 0.0
-        self._max_across = 1000
+        self._most = Size(1, 1)
         self.painted = 0
         """How often the picture changed, for tests."""
 
     @property
     def cells_across(self) -> int:
         """Cells that the picture may be wide."""
-        return max(1, min(self.content_size.width - 1, self._max_across))
+        return max(1, min(self.content_size.width - 1, self._most.width))
 
-    def show(self, layer: MapLayer, window: MapWindow, max_across: int) -> None:
-        """Take a map and its visible part; at most ``max_across`` cells wide, so that neighbours are equally large."""
-        self._layer, self._window, self._max_across = layer, window, max_across
+    def show(self, layer: MapLayer, window: MapWindow, most: Size) -> None:
+        """Take a map and its visible part; at most ``most`` cells large, so that neighbours are equally large."""
+        self._layer, self._window, self._most = layer, window, most
         self._compute()
 
     def on_resize(self) -> None:
@@ -104,7 +105,7 @@ class MapView(Widget):
         layer, window = self._layer, self._window
         if layer is None or window is None or not self.size:
             return
-        room = max(1, self.content_size.height - 2)  # the name and the range take two lines
+        room = max(1, min(self.content_size.height - 2, self._most.height))  # name and range take two lines
         rows, columns = half_cells_for(window.height, window.width, room, self.cells_across)
         if self._plain:
             rows //= 2
