@@ -20,30 +20,53 @@ from tests.system.writer.test_writer import assert_file_equals_witness
 from tests.waiting import wait_for
 
 _DYING_WRITER = """
-import importlib, os, signal, sys
+import functools, os, signal, sys
 from pathlib import Path
 from acquire.contract.config.load import load_config
+from acquire.contract.scan_data.file_layout import read_layout
+from acquire.writer import scan_file
 from acquire.writer.service import run_writer
 
-def die_at(module, name, nth, when):
-    owner = importlib.import_module(module)
-    for part in name.split(".")[:-1]:
-        owner = getattr(owner, part)
-    name, calls = name.split(".")[-1], []
+def path_of(fd):
+    return Path(os.readlink(f"/proc/self/fd/{fd}"))
+
+@functools.cache
+def regions_of(path):
+    return read_layout(path).regions
+
+def write_of(region, index=0):
+    def matches(fd, data, offset):
+        place = regions_of(path_of(fd))[region]
+        size = place.nbytes // place.shape[0] if place.shape else place.nbytes
+        return offset == place.offset + index * size
+    return matches
+
+POINTS = {
+    "sync of the new file": (os, "fsync", lambda fd: path_of(fd).name.startswith(".creating-")),
+    "name scan.partial.h5": (scan_file, "rename_new", lambda source, target: target.name == "scan.partial.h5"),
+    "pixels of frame 8": (os, "pwrite", write_of("data", 8)),
+    "status of frame 8": (os, "pwrite", write_of("status", 8)),
+    "check of the frames": (os, "preadv", lambda *_: True),
+    "outcome": (os, "pwrite", write_of("outcome")),
+    "name scan.h5": (scan_file, "rename_new", lambda source, target: target.name == "scan.h5"),
+}
+
+def die_at(point, when):
+    owner, name, matches = POINTS[point]
     real = getattr(owner, name)
     def call(*args):
-        calls.append(1)
-        if len(calls) == nth and when == "half":
+        here = matches(*args)
+        if here and when == "half":
             real(args[0], args[1][: len(args[1]) // 2], *args[2:])
-        if len(calls) == nth and when != "after":
+        if here and when != "after":
             os.kill(os.getpid(), signal.SIGKILL)
         found = real(*args)
-        if len(calls) == nth:
+        if here:
             os.kill(os.getpid(), signal.SIGKILL)
         return found
     setattr(owner, name, call)
 
-die_at(sys.argv[2], sys.argv[3], int(sys.argv[4]), sys.argv[5])
+die_at(sys.argv[2], sys.argv[3])
 run_writer(load_config(), Path(sys.argv[1]))
 """
 
@@ -54,9 +77,9 @@ def bench(run_dir: Path, tmp_path: Path) -> Iterator[Bench]:
         yield made
 
 
-def dying_writer(bench: Bench, module: str, name: str, nth: int, when: str) -> Child:
-    """A writer that kills itself at the nth call of a function: before, after, or half-way through its data."""
-    return bench.start("writer", ["-c", _DYING_WRITER, str(bench.run_dir), module, name, str(nth), when])
+def dying_writer(bench: Bench, point: str, when: str) -> Child:
+    """A writer that kills itself where it writes (syncs, names, reads) what ``point`` says: before, half-way, after."""
+    return bench.start("writer", ["-c", _DYING_WRITER, str(bench.run_dir), point, when])
 
 
 def dies(writer: Child) -> None:
@@ -89,18 +112,14 @@ def test_a_writer_killed_three_times_in_mid_sweep_leaves_no_gap_and_no_duplicate
 
 
 @pytest.mark.parametrize(
-    ("module", "name", "nth", "when"),
-    [
-        ("acquire.writer.create_file", "_write_entry", 1, "after"),
-        ("acquire.writer.scan_file", "rename_new", 1, "before"),
-        ("acquire.writer.scan_file", "rename_new", 1, "after"),
-    ],
+    ("point", "when"),
+    [("sync of the new file", "before"), ("name scan.partial.h5", "before"), ("name scan.partial.h5", "after")],
 )
 def test_a_writer_killed_while_it_makes_the_file_is_followed_by_one_that_makes_it(
-    bench: Bench, module: str, name: str, nth: int, when: str
+    bench: Bench, point: str, when: str
 ) -> None:
     camera = bench.camera(20)
-    dies(dying_writer(bench, module, name, nth, when))
+    dies(dying_writer(bench, point, when))
     bench.writer()
     camera.result()
     assert [path.name for path in bench.scan.iterdir()] == ["scan.h5"], "no leftovers"
@@ -108,35 +127,34 @@ def test_a_writer_killed_while_it_makes_the_file_is_followed_by_one_that_makes_i
 
 
 @pytest.mark.parametrize(
-    ("name", "nth", "when"),
-    [("write_at", 73, "half"), ("write_at", 80, "before"), ("write_at", 81, "after")],
+    ("point", "when", "committed"),
+    [("pixels of frame 8", "half", 0), ("status of frame 8", "before", 0), ("status of frame 8", "after", 1)],
 )
-def test_a_writer_killed_within_a_frame_tears_nothing_that_counts(bench: Bench, name: str, nth: int, when: str) -> None:
-    # nine writes make a frame: pixels, seven fields, status; the 73rd is the pixels of frame 8
+def test_a_writer_killed_within_a_frame_tears_nothing_that_counts(
+    bench: Bench, point: str, when: str, committed: int
+) -> None:
     camera = bench.camera(20)
-    dies(dying_writer(bench, "acquire.writer.frame_store", name, nth, when))
+    dies(dying_writer(bench, point, when))
     assert_what_was_acked_is_there(bench, 20)
     with ScanReader(bench.scan) as reader:
-        assert reader.status()[8] == (1 if nth == 81 else 0)
+        assert reader.status()[8] == committed
     bench.writer()
     camera.result()
     assert_file_equals_witness(bench, 20)
 
 
 @pytest.mark.parametrize(
-    ("module", "name", "nth", "when"),
+    ("point", "when"),
     [
-        ("acquire.writer.scan_file", "ScanFile.check_frames", 1, "before"),
-        ("acquire.writer.scan_file", "ScanFile._put_outcome", 1, "after"),
-        ("acquire.writer.scan_file", "rename_new", 2, "before"),
-        ("acquire.writer.scan_file", "rename_new", 2, "after"),
+        ("check of the frames", "before"),
+        ("outcome", "after"),
+        ("name scan.h5", "before"),
+        ("name scan.h5", "after"),
     ],
 )
-def test_a_writer_killed_while_it_seals_is_followed_by_one_that_seals(
-    bench: Bench, module: str, name: str, nth: int, when: str
-) -> None:
+def test_a_writer_killed_while_it_seals_is_followed_by_one_that_seals(bench: Bench, point: str, when: str) -> None:
     camera = bench.camera(20)
-    dies(dying_writer(bench, module, name, nth, when))
+    dies(dying_writer(bench, point, when))
     bench.writer()
     ack = camera.result()["end_ack"]
     assert (ack["sealed"], ack["outcome"], ack["committed"]) == (True, "complete", 20)
