@@ -83,7 +83,7 @@ class ScanRecipe:
 
     @property
     def verbatim(self) -> dict[str, bytes]:
-        """The fixed bytes of ``layout.VERBATIM``."""
+        """The fixed bytes of ``dataset_names.VERBATIM``."""
         plan = b"{}" if self.plan is None else msgspec.json.encode(self.plan)
         return {
             "config": self.config_toml.encode(),

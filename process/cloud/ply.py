@@ -60,7 +60,7 @@ def read_vertices(path: Path, *, instead: str) -> NDArray[Any]:
 
     Args:
         path: the file.
-        instead: what to do when it cannot be read, in words.
+        instead: for the error text: what the user can do if it cannot be read.
 
     Raises:
         ScanFileError: not there, or not a readable cloud; one line.

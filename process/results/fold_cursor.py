@@ -131,7 +131,7 @@ class FoldCursor:
         self.folded[:] = False
 
     def _add(self, frame_index: int, crc32: int, pixels: NDArray[Any]) -> None:
-        self.fold.add(frame_index, pixels, keep=True)  # nobody changes a frame that came from a socket or a file
+        self.fold.add(frame_index, pixels, keep=True)  # read-only: the fold need not copy it
         self.folded[frame_index] = True
         self.crc32[frame_index] = crc32
         self.next_index = frame_index + 1

@@ -100,7 +100,7 @@ class Settings:
 
     @property
     def what_is_missing(self) -> str:
-        """Why there is no cloud, in words; empty when there can be one."""
+        """Why there is no cloud, for the user; empty if there can be one."""
         if self.calibration is None:
             return "no calibration: maps only, no cloud; give one with --calibration"
         return "" if self.light_plane else "the calibration has no light plane: maps only, no cloud"

@@ -53,7 +53,7 @@ class FrameCheck:
         return image.role == "sweep"
 
     def pixels(self, image: Image, payload: memoryview) -> NDArray[Any] | None:
-        """The frame's pixels as stored, without a copy; None if they are not what the header or the scan says."""
+        """The frame's pixels as stored, without a copy; None if they do not match the header or the scan."""
         header = (image.shape, image.dtype, image.bit_depth, image.pixel_format)
         if header != self._header or payload.nbytes != self._nbytes:
             self.refused.malformed += 1

@@ -56,12 +56,12 @@ class LiveScan:
         self.timings = Timings()
         self.results: Results | None = None
         self.failure = ""
-        """Why there are no results, in words; empty while there is hope."""
+        """Why there are no results, for the user; empty before a failure and while it is tried again."""
         self.seconds_to_disk = 0.0
         """From the last frame to the results on disk."""
         self.end = ScanEnd()
         self.ended = False
-        """The rig has said how the scan ended."""
+        """The rig has reported how the scan ended."""
         self._early = EarlyFits(settings, form)
         self._clock = clock or MonotonicClock()
         self._last_frame_ns = self._clock.now_ns()
@@ -100,18 +100,18 @@ class LiveScan:
             return self._offer(image.frame_index, image.crc32, demosaiced(pixels, self.form.pixel_format))
 
     def take_end(self, end: End) -> None:
-        """The rig's account of the scan."""
+        """The end message of the rig."""
         self.end, self.ended = ScanEnd.of_message(end), end.outcome in SEALED_OUTCOMES
 
     def take_status(self, status: Status) -> None:
-        """Learn of an end whose message was lost on the live lane."""
+        """The end of the scan as the status has it, if its message was lost on the live lane."""
         if not self.ended and status.scan_uid == self.description.scan_uid and status.outcome in SEALED_OUTCOMES:
             self.end, self.ended = ScanEnd(status.outcome), True
 
     def _offer(self, frame_index: int, crc32: int, pixels: NDArray[np.generic]) -> bool:
         try:
             went_on = self.cursor.offer(frame_index, crc32, pixels)
-        except Exception:  # noqa: BLE001 - whatever a poisonous frame does, the file has the truth: fold it anew (F08)
+        except Exception:  # noqa: BLE001 - a frame that breaks the fold costs a new fold of the file, not the scan (F08)
             logger.exception("frame %d could not be folded: folding the scan file again", frame_index)
             self.check.refused.raised += 1
             self.restart()
@@ -129,13 +129,13 @@ class LiveScan:
 
     @property
     def lag_frames(self) -> int:
-        """Frames that were taken, as far as the live lane tells, and are not folded yet; after the end all of these."""
+        """Frames taken and not folded yet, by the newest live frame; after the end, by the plan."""
         taken = self.description.count if self.ended else self._newest_live + 1
         return max(taken - self.cursor.next_index, 0)
 
     @property
     def wants_file(self) -> bool:
-        """Time to look into the file: frames are known to be there, or the live lane has fallen silent."""
+        """True if the file should be read: frames are known to be there, or no live frame came for a while."""
         if self.lag_frames:
             return True
         return self._clock.now_ns() - self._last_frame_ns > SILENT_NS and not self.cursor.done
@@ -172,7 +172,7 @@ class LiveScan:
         return read
 
     def _overdue(self, frames: ScanFrames) -> bool:
-        """The next frame is in the file for so long that it must have been lost on the live lane."""
+        """True if the next frame has been in the file for so long that the live lane must have lost it."""
         frame_index, now_ns = self.cursor.next_index, self._clock.now_ns()
         if not frames.present()[frame_index]:
             return False
@@ -194,7 +194,7 @@ class LiveScan:
         return found
 
     def progress(self) -> ResultProgress:
-        """How far the fold is, in numbers and words."""
+        """How far the fold is."""
         counts = self.cursor.counts
         return ResultProgress(
             scan_uid=self.description.scan_uid,
@@ -233,7 +233,7 @@ class LiveScan:
     # ---- the end ----
 
     def ready_to_finish(self) -> bool:
-        """Every frame is folded or known to be missing, and those folded are in the file."""
+        """True if every frame is folded or known to be missing, and those folded are in the file."""
         if self.results is not None or self.failure or not self.cursor.done:
             return False
         frames = self.frames()
@@ -301,7 +301,7 @@ class LiveScan:
         return True
 
     def end_message(self) -> ResultEnd | None:
-        """Where the results are; None before they are written or the rig has said how the scan ended."""
+        """Where the results are; None before they are written and the end of the scan is known."""
         results = self.results
         if results is None or not self.ended:
             return None

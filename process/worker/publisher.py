@@ -38,7 +38,7 @@ _SUBSCRIBED, _UNSUBSCRIBED = b"\x01", b"\x00"
 
 
 class ResultPublisher:
-    """The worker's XPUB socket, and what a subscriber must know that comes later. Not thread-safe."""
+    """The worker's XPUB socket, and the messages that a later subscriber needs. Not thread-safe."""
 
     def __init__(self, socket: zmq.Socket[Any]) -> None:
         """``socket`` is bound; every subscription is reported, not only the first."""
@@ -72,7 +72,7 @@ class ResultPublisher:
         self._progress_ns = 0
 
     def answer_newcomers(self) -> bool:
-        """Publish everything again if somebody has subscribed (anew: that heals a gap); True if so."""
+        """Publish everything again for a new subscription (a client subscribes again after a gap); True if so."""
         asked = False
         while True:
             try:
@@ -125,7 +125,7 @@ class ResultPublisher:
             self._send_tiles(headers, payload, snapshot=final)
 
     def maps_due(self, now_ns: int) -> bool:
-        """About once a second, and only while somebody subscribes."""
+        """About once a second, and only with subscribers."""
         return self._watched and now_ns >= self._maps_ns + MAPS_NS
 
     def maps(self, samples: MapSamples, folded_through: int, now_ns: int) -> None:

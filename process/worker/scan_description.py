@@ -1,4 +1,4 @@
-"""What the rig says of a scan: before its first frame, and at its end. Settings and memory follow from it."""
+"""The description of a scan before its first frame and at its end; its settings and the memory that it needs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ScanDescription:
 
 @dataclass(frozen=True)
 class ScanEnd:
-    """How a scan ended; ``running`` before the rig said so."""
+    """How a scan ended; the outcome is ``running`` before that."""
 
     outcome: str = Outcome.RUNNING.value
     missing: tuple[FrameRange, ...] = ()

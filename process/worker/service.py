@@ -94,7 +94,7 @@ class Worker:
         self._changed = False
         """The fold went on since the last progress message."""
         self._preview_wanted = False
-        """Somebody subscribed who has not seen the maps; they do not wait for the next frame."""
+        """There is a new subscriber, who gets the maps without waiting for the next frame."""
         self._file_flows = False
         """The file had frames for the fold when it was last asked: it may have more."""
         self._refresh_ns = self._refresh_until_ns = self._retry_ns = self._tries = 0
@@ -106,7 +106,7 @@ class Worker:
             socket.close(0)
 
     def run(self, stop: threading.Event) -> None:
-        """Turn until told to stop."""
+        """Work until ``stop`` is set."""
         logger.info("worker ready")
         notifier = Notifier()
         notifier.ready("the worker waits for frames")
@@ -115,7 +115,7 @@ class Worker:
             notifier.alive()
 
     def turn(self) -> None:
-        """Wait for something to do for at most :data:`IDLE_MS`, and do it."""
+        """Wait at most :data:`IDLE_MS` for something to do, and do it."""
         ready = dict(self._poller.poll(self.patience_ms()))
         if self._results in ready and self.publisher.answer_newcomers():
             self._preview_wanted = True
@@ -168,7 +168,7 @@ class Worker:
             self._ignore(f"a {type(message).__name__} does not belong on this lane")
 
     def _take_status(self, status: Status) -> None:
-        """The newest state; it tells a late worker which scan there is."""
+        """The newest status; from it a worker that started late learns of the scan."""
         if not status.scan_uid or not status.scan_path or status.scan_uid == self._refused_uid:
             return
         if self.scan is None or self.scan.description.scan_uid != status.scan_uid:
@@ -243,13 +243,13 @@ class Worker:
                 scan.fit_early()
         except SweepscopeError as error:
             self._fail(scan, str(error))
-        except Exception as error:  # noqa: BLE001 - the worker outlives any scan; what it could not make is made by reconstruct
+        except Exception as error:  # noqa: BLE001 - a scan must not end the worker; `reconstruct` makes what it could not
             logger.exception("scan %s", scan.description.scan_uid)
             scan.restart()
             self._fail(scan, f"{type(error).__name__}: {error}")
 
     def _preview_due(self, scan: LiveScan) -> bool:
-        """There is something new to show, or to look at, and the end of the sweep does not wait for its results."""
+        """True if there is something new to show and the results of the whole sweep are not due instead."""
         wanted = (self._changed and not scan.cursor.done) or self._preview_wanted
         return wanted and self.publisher.preview_due(self._clock.now_ns(), scan.lag_frames)
 
@@ -275,7 +275,7 @@ class Worker:
         try:
             self.publisher.maps(samples_on_disk(results.paths.maps), through, now_ns)
         except ScanFileError as error:
-            logger.warning("%s", error)  # somebody took them away again; subscribers do without
+            logger.warning("%s", error)  # removed since; subscribers do without
         self._refresh_ns, self._refresh_until_ns = 0, now_ns + REFRESH_FOR_NS
         self._changed = True
         self._publish_end(scan)
@@ -300,7 +300,7 @@ class Worker:
         self._changed = True
 
     def _tries_again(self, scan: LiveScan) -> bool:
-        """A full disk may have room again, a file may have come back: try so often, and no oftener."""
+        """True if it is time for another try: a full disk may have room again, a file may be back."""
         if self._tries >= MAX_TRIES or self._clock.now_ns() < self._retry_ns:
             return False
         scan.failure = ""

@@ -11,7 +11,7 @@ from acquire.contract.errors import ProtocolError
 from .messages import PROTOCOL, AnyMessage, Message
 
 MAX_HEADER_BYTES: Final = 16 * 1024 * 1024
-"""A longer header is refused unread (the largest honest one contains configuration and calibration)."""
+"""A longer header is refused unread (the largest that is sent contains configuration and calibration)."""
 
 MALFORMED: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError)
 """What msgspec raises for hostile bytes: bad MessagePack or values, bad UTF-8, deep nesting, huge numbers."""

@@ -85,7 +85,7 @@ def connect(
 def shared(pixels: Any) -> zmq.Frame:
     """Pixels as one part for messages on several lanes, not copied (but small ones), so they must not change any more.
 
-    Each socket would otherwise wrap them anew, and another thread be told when it is done with them.
+    Otherwise each socket would wrap them anew, and a thread of pyzmq would release each of these parts.
     """
     return zmq.Frame(pixels)
 
@@ -163,7 +163,7 @@ def receive(socket: zmq.Socket[Any]) -> Received | None:
 def arrived(
     socket: zmq.Socket[Any], most: int, on_malformed: Callable[[ProtocolError], Any] = lambda _error: None
 ) -> Iterator[Received]:
-    """The messages that are there now, up to ``most``; what forms none is told to ``on_malformed`` and passed over."""
+    """The messages that are there now, up to ``most``; malformed ones are passed to ``on_malformed`` instead."""
     for _ in range(most):
         try:
             received = receive(socket)

@@ -75,7 +75,7 @@ class FrameFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"):
-    """The header that every message carries. Unknown keys are ignored: a newer minor version may add some."""
+    """The header fields of every message. Unknown keys are ignored: a newer minor version may add some."""
 
     protocol: tuple[int, int] = PROTOCOL
     """[major, minor] of the sender."""
@@ -255,7 +255,7 @@ class Proposal(msgspec.Struct, frozen=True, kw_only=True):
     free_bytes: Count
     """Disk that is free."""
     warnings: Annotated[list[Text], Meta(max_length=16)] = []
-    """Lit in the first frame, dark in the last, saturated, too dark: in words."""
+    """For the operator: lit in the first frame, dark in the last, saturated, too dark."""
 
 
 class Status(Message, frozen=True, kw_only=True, tag="status"):
@@ -296,7 +296,7 @@ class Status(Message, frozen=True, kw_only=True, tag="status"):
     counters: dict[Name, Int64] = {}
     faults: Annotated[list[FaultReport], Meta(max_length=64)] = []
     message: Text = ""
-    """The last thing that happened, in words."""
+    """The last event, for the operator."""
     stage_version: Name = ""
     """Firmware of the motion controller; empty where it has none."""
     control: Name = ""
@@ -320,7 +320,7 @@ class Command(Message, frozen=True, kw_only=True, tag="command"):
     name: Name
     args: dict[Name, Any] = {}
     client: Name = ""
-    """Who asks, in words that tell clients apart (``anna on pts/3``); empty: a script that holds nothing."""
+    """The client's name for people (``anna on pts/3``); empty: a script that holds no control."""
 
 
 class Reply(Message, frozen=True, kw_only=True, tag="reply"):
@@ -336,7 +336,7 @@ class Reply(Message, frozen=True, kw_only=True, tag="reply"):
 
 
 class Picture(Message, frozen=True, kw_only=True, tag="picture"):
-    """The newest camera picture, reduced for people to look at; uint8 pixels in the second part. Lossy."""
+    """The newest camera picture, reduced for display; uint8 pixels in the second part. Lossy."""
 
     shape: Annotated[list[Side], Meta(min_length=2, max_length=3)]
     """[h, w] or [h, w, 3] RGB of the reduced picture."""
@@ -373,7 +373,7 @@ class ResultProgress(Message, frozen=True, kw_only=True, tag="result_progress"):
     lag_frames: Count = 0
     """Frames that the daemon sent and the worker has not folded yet."""
     message: Text = ""
-    """What is missing, in words (no calibration, waiting for the file); empty when all is well."""
+    """What is missing, for the operator (no calibration, waiting for the file); empty if nothing is."""
 
 
 class TileHeader(msgspec.Struct, frozen=True, array_like=True):

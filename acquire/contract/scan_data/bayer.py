@@ -1,4 +1,4 @@
-"""Bayer frames: stored raw, turned into RGB by whoever reads them. The one table of the patterns."""
+"""Bayer frames are stored raw and turned into RGB by their readers. The one table of the patterns."""
 
 from __future__ import annotations
 

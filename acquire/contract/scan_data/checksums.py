@@ -1,4 +1,4 @@
-"""What a finished scan promises in one number: the digest over the checksums of its frames."""
+"""The checksum of a frame, and the digest of a scan over the checksums of its frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layout of scan.h5: every path, type and file name; the numbers on the page of interfaces, once."""
+"""The layout of scan.h5: every path, type and file name; described in docs/design.md."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ TRUTH_NAME: Final = "truth.h5"
 PINS_NAME: Final = "twin.jsonl"
 """What the pins of the emulated controller did at each trigger."""
 NO_SCAN_NAMES: Final = frozenset({OWNER_LOCK_NAME, TRUTH_NAME, PINS_NAME})
-"""What a folder holds in which a scan was about to begin: nothing of worth."""
+"""Files that a folder may hold without a scan: they are not worth keeping."""
 MARKS_NAME: Final = "marks.json"
-"""What is known of a sweep before its end, by the names of ``End.checks``; the file learns it when it is sealed."""
+"""Measurements of a sweep before its end, by the names of ``End.checks``; copied into scan.h5 when it is sealed."""
 NOTES_NAME: Final = "notes.json"
-"""What people wrote about the scan afterwards."""
+"""Notes written about the scan afterwards."""
 COPIES_NAME: Final = "copies.json"
 """Where the scan was copied to, each copy verified."""
 CHECKSUMS_NAME: Final = "SHA256SUMS"

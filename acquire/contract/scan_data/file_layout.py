@@ -61,7 +61,7 @@ class ScanLayout:
     verbatim: dict[str, bytes]
     epoch_utc_ns: int
     zero_id: str = ""
-    """Which homing its positions count from; empty where the rig did not say."""
+    """Identifies the homing that its positions count from; empty if not known."""
 
     @property
     def frame_nbytes(self) -> int:

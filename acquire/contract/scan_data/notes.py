@@ -1,4 +1,4 @@
-"""notes.json beside a scan: what people write about it afterwards. The scan file itself is never changed."""
+"""notes.json beside a scan: notes written about it afterwards. The scan file itself is never changed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Label = Annotated[str, Meta(max_length=200)]
 
 
 class Notes(msgspec.Struct, frozen=True):
-    """What people say about a scan; text is kept as it was typed."""
+    """Notes on a scan; text is kept as it was typed."""
 
     name: Label = ""
     specimen: Label = ""

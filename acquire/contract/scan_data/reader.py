@@ -1,4 +1,4 @@
-"""Reads a scan at any moment of its life without disturbing the writer: its layout once, then pread at offsets."""
+"""Read a scan at any time without disturbing its writer: the layout once through HDF5, then pread at offsets."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class ScanReader:
         return np.frombuffer(self._read(region.offset, region.nbytes), dtype=region.dtype).reshape(region.shape)
 
     def scalar(self, name: str) -> int | str:
-        """A scalar of ``layout.SCALARS`` as it is now; fixed bytes become text."""
+        """A scalar of ``dataset_names.SCALARS`` as it is now; fixed bytes become text."""
         region = self.layout.regions[name]
         raw = self._read(region.offset, region.nbytes)
         if region.dtype.kind == "S":
@@ -89,7 +89,7 @@ class ScanReader:
 
     @property
     def measured(self) -> dict[str, float]:
-        """What was measured around the sweep, by its name in the ``end`` message; before it was sealed only marks."""
+        """Measurements of the sweep by their names in ``End.checks``; before the scan is sealed those of marks.json."""
         found = read_marks(self.layout.path.parent)
         if MEASURED in self.layout.regions:
             found |= _numbers(str(self.scalar(MEASURED)))
@@ -111,7 +111,7 @@ class ScanReader:
         return str(self.scalar("outcome"))
 
     def status(self) -> NDArray[np.uint8]:
-        """Commit records, uint8 [n] (``layout.FrameStatus``)."""
+        """Commit records, uint8 [n] (``dataset_names.FrameStatus``)."""
         return self.field("status")
 
     def present(self) -> NDArray[np.bool_]:

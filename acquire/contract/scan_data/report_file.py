@@ -67,7 +67,7 @@ class NoiseFound(msgspec.Struct, frozen=True):
     shot: float
     """Variance per count of brightness; 1 / shot electrons make a count. 0 where the frames show none."""
     measured: bool
-    """False: taken from the configuration, because the frames did not tell."""
+    """False: taken from the configuration, because too few pixels could be measured."""
 
 
 class CalibrationUsed(msgspec.Struct, frozen=True):
@@ -78,7 +78,7 @@ class CalibrationUsed(msgspec.Struct, frozen=True):
     sha256: str
     """Of its text."""
     created_utc: str | None = None
-    """None where it does not say."""
+    """None if not recorded."""
     age_days: float | None = None
     """At the time of the scan."""
 
@@ -109,7 +109,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def points(self) -> int | None:
-        """Points of the cloud; None where the report does not say."""
+        """Points of the cloud; None if not recorded."""
         return self.counts.get("points")
 
 
