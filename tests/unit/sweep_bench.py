@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.cameras.protocol import CameraFrame
+from acquire.cameras.protocol import CameraFrame, CameraGone
 from acquire.contract.messaging.messages import AckItem, EndAck, FaultReport, FrameFormat, Image
 from acquire.contract.plan import SweepPlan
 from acquire.contract.states import Outcome
@@ -58,7 +58,7 @@ class Bench:
     tells_time: bool = True
     """Whether the camera says when it exposed."""
     spoil: Callable[[int, int], str] = lambda frame_index, attempt: ""
-    """Returns ``lose``, ``shape`` or ``mute`` (no ack) for a shot."""
+    """Returns for a shot what goes wrong: ``lose``, ``missed`` (no id used up), ``shape``, ``gone`` (after it)."""
     committed: tuple[AckItem, ...] = ()
     """What the file holds already when the writer is ready."""
     picture: NDArray[np.uint8] | None = None
@@ -76,7 +76,8 @@ class Bench:
     stops: int = 0
     """How often the stage was told to stop."""
     _events: deque[SweepEvent] = field(default_factory=deque)
-    _segment: Segment | None = None
+    segment: Segment | None = None
+    """The segment that the stage runs."""
     _next_shot: int = 0
     _granted: int = -1
     _held: bool = False
@@ -122,8 +123,8 @@ class Bench:
             case do.Snap():
                 self._deliver(-1)
             case do.BeginSegment(segment, through):
-                assert self._segment is None, "a segment was begun while another runs"
-                self._segment, self._next_shot, self._granted, self._held = segment, 0, through, False
+                assert self.segment is None, "a segment was begun while another runs"
+                self.segment, self._next_shot, self._granted, self._held = segment, 0, through, False
             case do.Grant(through):
                 self._granted = through
             case do.HoldStage():
@@ -133,7 +134,7 @@ class Bench:
             case do.ResumeStage():
                 self._held = False
             case do.StopStage():
-                self._segment = None
+                self.segment = None
                 self.stops += 1
                 if not self.stage_is_dead:
                     self._events.append(Stopped(0, position_trusted=True))
@@ -156,7 +157,7 @@ class Bench:
                 self.said.append(text)
 
     def _shoot(self) -> None:
-        segment = self._segment
+        segment = self.segment
         if self.stage_is_dead or segment is None or self._held or self._events or self._next_shot > self._granted:
             return
         position = segment.first_steps + self._next_shot * segment.pitch_steps
@@ -167,7 +168,7 @@ class Bench:
         self._deliver(frame_index)
         self._next_shot += 1
         if self._next_shot == segment.count:
-            self._segment = None
+            self.segment = None
             self._events.append(SegmentDone(position))
 
     def _deliver(self, frame_index: int) -> None:
@@ -182,6 +183,8 @@ class Bench:
         shape = (4, 4) if how == "shape" else (4, 5)
         pixels = np.full(shape, self.lamp, np.uint8) if self.picture is None else self.picture.copy()
         self._events.append(CameraFrame(pixels, self._camera_id, self.now_ns if self.tells_time else 0))
+        if how == "gone":
+            self._events.append(CameraGone("pulled"))
 
 
 def ack_of(image: Image) -> AckItem:

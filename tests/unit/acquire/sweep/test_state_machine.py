@@ -1,4 +1,4 @@
-"""The sweep's course, its retakes, its holds and its ends, without any device."""
+"""A sweep: its phases, retakes, holds and ends, without any device."""
 
 from __future__ import annotations
 
@@ -138,16 +138,9 @@ def test_a_camera_that_went_away_is_waited_for_and_its_frames_are_taken_again():
     assert [image.frame_index for image in on.published if image.role == "sweep"] == list(range(10))
 
 
-def test_a_camera_that_goes_away_after_the_last_frame_costs_the_sweep_nothing(monkeypatch):
+def test_a_camera_that_goes_away_after_the_last_frame_costs_the_sweep_nothing():
     on = bench(3)
-    deliver = on._deliver
-
-    def then_gone(frame_index: int) -> None:
-        deliver(frame_index)
-        if frame_index == 2:
-            on._events.append(CameraGone("pulled"))
-
-    monkeypatch.setattr(on, "_deliver", then_gone)
+    on.spoil = lambda frame_index, attempt: "gone" if frame_index == 2 else ""
     on.start()
     on.tick(1)
     assert done(on) and on.sweep.outcome is Outcome.COMPLETE
@@ -329,7 +322,7 @@ def test_told_to_end_in_any_phase_the_sweep_says_an_end_that_names_what_is_missi
     assert done(on) and on.sweep.outcome is Outcome.ABORTED
     taken = len([image for image in on.published if image.role == "sweep"])
     assert on.end is not None and on.end.end.missing == [(taken, 19)] and "F24" in on.end.end.reason
-    assert not on._segment, "the stage runs on"
+    assert not on.segment, "the stage runs on"
 
 
 def test_an_alarm_of_the_stage_closes_the_sweep_as_aborted():
@@ -444,7 +437,7 @@ def test_a_writer_that_never_seals_leaves_the_scan_interrupted_not_complete():
     assert on.faults[-1].code == "F03"
 
 
-def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_writer():
+def test_a_late_report_of_the_stage_does_not_end_the_wait_for_the_writer():
     on = bench()
     on.sweep.start(on.now_ns)
     on.feed(Stopped(33, position_trusted=True))
@@ -452,7 +445,7 @@ def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_writer():
     assert done(on) and [fault.code for fault in on.faults] == ["F05"]
 
 
-def test_a_late_word_of_the_stage_does_not_end_the_wait_for_the_seal():
+def test_a_late_report_of_the_stage_does_not_end_the_wait_for_the_seal():
     on = bench(3)
     on.acking = False
     on.start()
