@@ -37,9 +37,7 @@ def begin_again(intake: FrameIntake, now_ns: int = NOW_NS) -> None:
     intake.arm(now_ns)
 
 
-def test_the_first_frame_that_overtakes_the_report_of_its_trigger_proves_nothing_and_its_second_attempt_is_taken(
-    intake,
-):
+def test_the_first_frame_before_the_report_of_its_trigger_proves_nothing_and_its_second_attempt_is_taken(intake):
     assert intake.keep_early(frame(7, 300), NOW_NS + MS)
     assert take(intake, 0, 100) == [None] and intake.counters["doubtful"] == 1
     begin_again(intake, NOW_NS + 30 * MS)
