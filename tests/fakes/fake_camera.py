@@ -21,7 +21,7 @@ import numpy as np
 import zmq
 
 from acquire.contract.messaging.lanes import Sender, bind
-from acquire.contract.messaging.messages import End, EndAck, FrameFormat, Image, Nack, Status
+from acquire.contract.messaging.messages import AckItem, End, EndAck, FrameFormat, Image, Nack, Status
 from acquire.contract.process.run_dir import lock_service, prepare_run_dir
 from acquire.contract.states import Outcome, State
 from acquire.daemon.frame_sender import FrameSender
@@ -50,6 +50,7 @@ class FakeCamera:
         self.nacks: dict[str, int] = {}
         self.durable = 0
         self.end_ack: EndAck | None = None
+        self._noted: set[int] = set()
         self._watch = Stopwatch()
         self._next_status = 0.0
 
@@ -143,25 +144,28 @@ class FakeCamera:
     def _poll(self) -> None:
         for event in self.lane.poll(time.monotonic_ns()):
             if isinstance(event, Committed):
-                self._note(event)
+                self.durable = event.durable_count
+                self._note(event.frames)
             elif isinstance(event, Refused):
                 self._refused(event.nack)
             elif isinstance(event, Sealed):
                 self.end_ack = event.end_ack
             elif isinstance(event, WriterReady):
-                self.window.commit(event.committed)
+                self._note(event.committed)
                 self.counters["readies"] += 1
                 self.counters["came_back"] += event.came_back
         if time.monotonic() >= self._next_status:
             self._next_status = time.monotonic() + STATUS_S
             self.status.send(self._status())
 
-    def _note(self, event: Committed) -> None:
-        self.window.commit(event.frames)
-        self.durable = event.durable_count
+    def _note(self, items: tuple[AckItem, ...]) -> None:
+        """Frames that are acked, or found in the file by a writer that came back after one that died before its ack."""
+        news = [item.frame_index for item in items if item.frame_index not in self._noted]
+        self._noted.update(news)
+        self.window.commit(items)
         if self.acks is not None:
             now_ns = time.monotonic_ns()
-            self.acks.write("".join(f"{item.frame_index} {now_ns}\n" for item in event.frames))
+            self.acks.write("".join(f"{frame_index} {now_ns}\n" for frame_index in news))
 
     def _refused(self, nack: Nack) -> None:
         self.nacks[nack.reason] = self.nacks.get(nack.reason, 0) + 1
