@@ -1,7 +1,9 @@
-"""Owns the original program's files: projector.txt and calibration.txt, converted to our convention.
+"""Import of the original program's files, projector.txt and calibration.txt, into our conventions.
 
-Its R, T go from camera to world (u = T, v = R K^-1 p'), ours from world to camera. Its world is left-handed: the stage
-lies behind its pinhole, which our ``mirrored`` says, so that points come out the same. Its distortion is k1 k2 p1 p2.
+The paper's equations 1 and 2 have R, T from world to camera, as OpenCV and we do; its listings, and the printed K, R, T
+and corner(t) (equations 11 to 15), have them from camera to world: u = T, v = R K^-1 p'. The camera is converted so
+that points come out the same. The original's world is left-handed, with the stage behind the pinhole: ``mirrored``. Its
+distortion is k1 k2 p1 p2; t is the 1-based frame number; lengths in mm.
 """
 
 from __future__ import annotations
@@ -15,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
+from process.calibration.quarter_circle.optics import Slide, plane_normal
 
 F8 = NDArray[np.float64]
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 CALIBRATION_COUNTS = (9, 4, 9, 3)
-LENGTHS_MM = {"hs": 3.81, "f": 50.0, "xb": 102.32}
 MAX_FILE_BYTES = 1_000_000
 ROTATION_TOLERANCE = 2e-3
 
@@ -34,7 +36,7 @@ class OriginalCalibration:
     rotation: F8
     """Camera to world."""
     translation: F8
-    """The camera's place in the world, mm."""
+    """Position of the camera in the world, mm."""
     corner: F8 | None
     """The projector's corner translation, mm; None where it is not in the file."""
     focus: F8 | None
@@ -74,7 +76,7 @@ def read_calibration_txt(path: Path) -> OriginalCalibration:
     """The labelled blocks of calibration.txt, in their order.
 
     Raises:
-        CalibrationError: not there, a block with too few numbers, or a rotation that is none; by name.
+        CalibrationError: the file is missing, a block has too few numbers, or the rotation is none.
     """
     blocks = _blocks(_text(path))
     names = ("K", "distortion", "rotation", "translation")
@@ -99,7 +101,7 @@ def read_projector_txt(path: Path) -> ProjectorClicks:
     """The clicked corners of projector.txt.
 
     Raises:
-        CalibrationError: not there, or lines that are missing; by name.
+        CalibrationError: the file or a line is missing.
     """
     text = _text(path)
     frames = re.findall(r"Frame\s+(\d+)\s*:?\s+(\S+)\s+(\S+)", text)
@@ -119,13 +121,11 @@ def light_plane(original: OriginalCalibration, clicks: ProjectorClicks) -> dict[
     """The ``light_plane`` object: normal by equations 5 to 10, corner(t) through the two clicked corners.
 
     Raises:
-        CalibrationError: impossible geometry (hp / d > 1; the original inverts it in silence), with the numbers.
+        CalibrationError: impossible geometry (hp / d > 1, which the original inverts silently), with the numbers.
     """
     first, last, nine, centre, six = _on_stage(original, np.vstack([clicks.first, clicks.last, clicks.pattern]))
     velocity = (last - first) / max(clicks.last_frame - 1, 1)
-    normal = pattern_normal(nine, centre, six)
-    if normal @ velocity < 0:
-        normal = -normal
+    normal = pattern_normal(nine, centre, six, velocity)
     return {
         "kind": "translating",
         "parameter": "frame",
@@ -139,35 +139,24 @@ def light_plane(original: OriginalCalibration, clicks: ProjectorClicks) -> dict[
     }
 
 
-def pattern_normal(p1: F8, corner: F8, p2: F8) -> F8:
+def pattern_normal(p1: F8, corner: F8, p2: F8, velocity: F8) -> F8:
     """Normal of the leading light plane from the three corners of the quarter circle on z = 0 (equations 5 to 10).
+
+    As the original computes it: both edges lead away from the projector (equation 6), and e3 = e1 x e2 (equation 7c).
 
     Args:
         p1: end of the other straight edge (9 o'clock), [3] mm.
         corner: the corner c, [3] mm.
         p2: end of the leading edge (6 o'clock), [3] mm.
+        velocity: of the corner, [3]; the normal points along it.
 
     Raises:
         CalibrationError: a projected edge shorter than the optics allow.
     """
-    hs, focal, xb = LENGTHS_MM["hs"], LENGTHS_MM["f"], LENGTHS_MM["xb"]
-    hp, alpha = hs * focal / xb, np.arctan(hs / focal)
-    lengths = [float(np.linalg.norm(end - corner)) for end in (p1, p2)]
-    for name, length in zip(("9 o'clock", "6 o'clock"), lengths, strict=True):
-        if hp * np.cos(alpha) / length > 1:
-            raise CalibrationError(
-                f"impossible geometry: the edge to {name} is {length:.4f} mm long, and hp is {hp:.4f} mm "
-                f"(hp / d = {hp / length:.3f} > 1): wrong clicks, scale, or slide"
-            )
-    e1, e2 = (p1 - corner) / lengths[0], (p2 - corner) / lengths[1]
-    e3 = np.cross(e1, e2)
-    theta2, theta1 = (np.arccos(hp * np.cos(alpha) / length) - alpha for length in lengths)
-    v1 = np.cos(theta2) * e1 + np.sin(theta2) * e3
-    v2 = np.cos(theta1) * e2 + np.sin(theta1) * e3
-    axis = np.cross(v1, v2)
-    towards = focal * hp / hs * axis / np.linalg.norm(axis)
-    normal = np.cross(towards, p2 - corner)
-    return np.asarray(normal / np.linalg.norm(normal), dtype=np.float64)
+    slide, side, lead = Slide(), p1 - corner, p2 - corner
+    lengths = [float(np.linalg.norm(edge)) for edge in (lead, side)]
+    turns = (slide.turns(lengths[0], "edge to 6 o'clock")[0], slide.turns(lengths[1], "edge to 9 o'clock")[0])
+    return plane_normal(lead, side, turns, velocity, up=np.cross(side / lengths[1], lead / lengths[0]))
 
 
 def _on_stage(original: OriginalCalibration, pixels: F8) -> F8:
@@ -188,7 +177,7 @@ def _text(path: Path) -> str:
 
 
 def _blocks(text: str) -> list[F8]:
-    """Runs of numbers between lines of words; numbers within a label (such as its unit) do not count."""
+    """Runs of numbers between labels; numbers within a label (such as its unit) do not count."""
     blocks: list[list[float]] = []
     fresh = True
     for line in text.splitlines():

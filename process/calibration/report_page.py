@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 from process.calibration.camera.calibrate import CameraResult
-from process.calibration.light_plane.compare import Difference
+from process.calibration.light_plane.compare import PlaneDifference
 from process.calibration.light_plane.from_sweeps import PlaneResult
 from process.calibration.light_plane.plane_residuals import LIMIT_UM
 from process.calibration.quarter_circle.calibrate import QuarterCircle
@@ -51,12 +51,12 @@ def plane_page(result: PlaneResult, words: Sequence[str]) -> str:
     return _page("Light plane calibration", verdict, words, [_maps(result)], good=result.ok)
 
 
-def quarter_circle_page(result: QuarterCircle, words: Sequence[str], between: Difference | None) -> str:
+def quarter_circle_page(result: QuarterCircle, words: Sequence[str], between: PlaneDifference | None) -> str:
     """The corner's track with its residuals, the lengths of both edges, and how another light plane differs."""
-    figures = [] if not result.seen else [_track(result)]
+    figures = [] if not result.patterns else [_track(result)]
     if between is not None:
         figures.append(_differences(between))
-    good = not result.seen or result.track_rms_um < TRACK_LIMIT_UM
+    good = not result.patterns or result.track_rms_um < TRACK_LIMIT_UM
     verdict = "the corner moves straight" if good else "the corner's track scatters: an uneven flat, or a loose stage"
     return _page("Light plane from the quarter circle", verdict, words, figures, good=good)
 
@@ -167,15 +167,15 @@ def _in_cells(values: F8) -> F8:
 def _track(result: QuarterCircle) -> Figure:
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    t = np.array([seen.t for seen in result.seen])
-    corners = np.array([seen.corner for seen in result.seen])
+    t = np.array([seen.t for seen in result.patterns])
+    corners = np.array([seen.corner for seen in result.patterns])
     off = 1000 * (corners - (result.origin + t[:, None] * result.velocity)[:, :2])
     for axis, name in enumerate("xy"):
         above.plot(t, off[:, axis], ".", markersize=3, label=name)
     above.set(ylabel="um", title="corner: off its straight track")
     above.legend()
     for name, label in (("lead_end", "leading edge"), ("side_end", "the other edge")):
-        seen = [s for s in result.seen if getattr(s, name) is not None]
+        seen = [s for s in result.patterns if getattr(s, name) is not None]
         length = np.array([np.linalg.norm(getattr(s, name) - s.corner) for s in seen])
         below.plot([s.t for s in seen], 1000 * (length - np.median(length)), ".", markersize=3, label=label)
     below.set(xlabel=result.parameter, ylabel="um", title="lengths of the straight edges: off their median")
@@ -183,7 +183,7 @@ def _track(result: QuarterCircle) -> Figure:
     return figure
 
 
-def _differences(between: Difference) -> Figure:
+def _differences(between: PlaneDifference) -> Figure:
     figure = Figure(figsize=(9, 3), layout="constrained")
     grid: Any = figure.subplots(1, len(between.heights_mm))
     limit = max(float(np.abs(between.along_ray_um).max()), 0.5)

@@ -17,11 +17,11 @@ import numpy as np
 from acquire.contract.calibration import CameraModel
 from acquire.contract.messaging.messages import FrameFormat
 from process.calibration.board.detection import Sighting
-from process.calibration.board.poses import Pose, find_pose, project
-from process.calibration.camera.bundle import Fit, as_vector, fit_camera, joint_covariance
+from process.calibration.board.poses import PlanePose, find_pose, project
+from process.calibration.camera.bundle import CameraFit, as_vector, fit_camera, joint_covariance
 from process.calibration.light_plane.edge_on_surface import COMMON_FLOOR_FRAMES
 from process.calibration.light_plane.from_sweeps import PlaneResult, fit_plane
-from process.calibration.light_plane.joint_residuals import SEAT_MM, SEAT_RAD
+from process.calibration.light_plane.joint_residuals import FLAT_BOARD_SD_MM, FLAT_BOARD_SD_RAD
 from process.calibration.light_plane.surfaces import Surface
 from process.calibration.light_plane.sweeps import FoldedSweep
 from process.calibration.light_plane.uncertainty import HEIGHTS_MM
@@ -115,8 +115,11 @@ def model(
 
 def swept(rig: Rig, tilt: tuple[float, float], camera: CameraModel, generator: np.random.Generator) -> Surface:
     """A sweep over a board that ``camera`` places by its corners; the light comes where it truly does."""
-    tilt = (tilt[0] + generator.normal(0, np.degrees(SEAT_RAD)), tilt[1] + generator.normal(0, np.degrees(SEAT_RAD)))
-    lift_mm = generator.normal(0, SEAT_MM)
+    tilt = (
+        tilt[0] + generator.normal(0, np.degrees(FLAT_BOARD_SD_RAD)),
+        tilt[1] + generator.normal(0, np.degrees(FLAT_BOARD_SD_RAD)),
+    )
+    lift_mm = generator.normal(0, FLAT_BOARD_SD_MM)
     view = see(rig, tilt, generator, lift_mm)
     found = find_pose(view.object_mm, view.pixels, np.array(camera.K), np.array(camera.distortion))
     rotation, shift = rig.pose(tilt, lift_mm)
@@ -147,11 +150,11 @@ def in_common(at: np.ndarray, seen: np.ndarray, generator: np.random.Generator) 
     return np.column_stack([np.ones(len(at)), (at - middle) / size]) @ plane
 
 
-def truth(rig: Rig) -> Fit:
+def truth(rig: Rig) -> CameraFit:
     """Where a fit of the camera may begin: it ends where the corners are."""
     optics = np.array([rig.focal_px, rig.focal_px, *rig.centre_px, *DISTORTION])
     poses = [(cv2.Rodrigues(rotation)[0].ravel(), shift) for rotation, shift in map(rig.pose, rig.views)]
-    return Fit(optics, tuple(map(np.concatenate, poses)), np.zeros((9, 9)), 0.0, (), "k1")
+    return CameraFit(optics, tuple(map(np.concatenate, poses)), np.zeros((9, 9)), 0.0, (), "k1")
 
 
 def measured(rig: Rig, seed: int) -> tuple[list[Surface], CameraModel, np.ndarray]:
@@ -159,7 +162,7 @@ def measured(rig: Rig, seed: int) -> tuple[list[Surface], CameraModel, np.ndarra
     generator = np.random.default_rng(seed)
     views = [see(rig, tilt, generator) for tilt in rig.views]
     fit = fit_camera(views, rig.size, "k1", start=truth(rig))
-    stage: Pose = find_pose(views[0].object_mm, views[0].pixels, fit.matrix, fit.distortion)
+    stage: PlanePose = find_pose(views[0].object_mm, views[0].pixels, fit.matrix, fit.distortion)
     known = joint_covariance(fit, views[0], as_vector(stage))
     camera = model(rig.size, fit.matrix, fit.distortion, stage.rotation, stage.translation)
     return [swept(rig, tilt, camera, generator) for tilt in rig.sweeps], camera, known

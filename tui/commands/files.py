@@ -46,12 +46,12 @@ def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | N
 @json_option
 def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: object) -> int:
     """Turn a scan into maps and a coloured point cloud."""
-    from process.calibration.light_plane.refit import matching
+    from process.calibration.light_plane.refit import with_matching_plane
     from process.results.reconstruct import reconstruct as run
     from process.results.settings import ReconstructOptions
 
     asked = ReconstructOptions(**options)  # type: ignore[arg-type]
-    matched = matching(scan, asked, lambda text: click.echo(text, err=True))
+    matched = with_matching_plane(scan, asked, lambda text: click.echo(text, err=True))
     summary = run(scan, matched, progress_printer(with_progress))
     _show_json(summary) if as_json else _show_words(summary)
     return 0 if summary.complete else EXIT_INCOMPLETE

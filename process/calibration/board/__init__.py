@@ -1,1 +1,1 @@
-"""Boards in pictures."""
+"""Boards in pictures: detection, pose, and which views are missing."""

@@ -1,6 +1,7 @@
-"""Owns finding a calibration pattern in a picture: chessboard, ChArUco or dots, whole or in part, to sub-pixel.
+"""Detection of a calibration board in a picture: chessboard, ChArUco or dots, whole or in part, to sub-pixel.
 
-Board coordinates are in mm about the middle of the pattern, turned so that the board's z points at the camera.
+Pixels [n, 2] as x, y with centres at integers. Board coordinates [n, 2] in mm about the middle of the pattern, turned
+so that the board's z points at the camera. Accuracy of the corners: docs/accuracy.md.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from .saddles import refine_saddles, saddle_blocks
 
 F8 = NDArray[np.float64]
 MIN_CORNERS = 12
-"""Fewer corners than this say too little of a pose to be worth a view."""
+"""Least corners of a view: fewer say too little of a pose."""
 SEED_SIDES = (7, 4, 3)
-"""Sides of the small grid that is looked for where the whole pattern is not in the picture."""
+"""Sides of the small grids that are searched where the whole pattern is not in the picture."""
 SEED_ATTEMPTS = 8
 MIN_ROW = 3
-"""Corners that make a border row of the grid believable."""
+"""Least corners of a border row of the grid: one or two may be false."""
 CHARUCO_WINDOW_SHARE = 0.4
-"""Of the window of a chessboard's corner: the markers begin an eighth of a square away."""
+"""Share of the window for a chessboard's corner: the markers begin an eighth of a square away."""
 SHARPENED_SCALE = 3
 SMALL_GRID = 200
-"""Corners up to which the exhaustive search is quick enough; larger grids are grown instead."""
+"""Corners up to which OpenCV's exhaustive search is quick enough; larger grids are grown."""
 _SECTOR = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
 
 
@@ -40,7 +41,7 @@ class BoardNotFoundError(CalibrationError):
 
 @dataclass(frozen=True)
 class Board:
-    """The pattern."""
+    """A calibration board."""
 
     columns: int
     """Squares (chessboard, ChArUco) or dots along the longer side."""
@@ -69,24 +70,24 @@ class Sighting:
     board_mm: F8
     """[n, 2] of the same points on the board; of a part of a chessboard the offset is arbitrary."""
     whole: bool
-    """All points were found, so that the origin is the middle of the board."""
+    """True if all points were found, so that the origin is the middle of the board."""
     pitch_px: float
     """Typical distance of neighbours in the picture."""
     others: Mapping[str, F8] = field(default_factory=dict)
-    """[n, 2] the same corners by other estimates: ``sector`` (the detector's own: better on small, foreshortened
-    squares) and ``gradient`` (where the picture's gradients meet)."""
+    """The same corners [n, 2] by other estimates: ``sector`` (OpenCV's sector detector, better on small foreshortened
+    squares) and ``gradient`` (cornerSubPix)."""
 
     @property
     def object_mm(self) -> F8:
-        """[n, 3] with z = 0."""
+        """Board points [n, 3] with z = 0."""
         return np.column_stack([self.board_mm, np.zeros(len(self.board_mm))])
 
 
 def find_board(image: NDArray[np.generic], board: Board) -> Sighting:
-    """The board in a grey or RGB picture.
+    """Find the board in a grey or RGB picture.
 
     Raises:
-        BoardNotFoundError: nothing found, too little of it, or a board of another size.
+        BoardNotFoundError: no board, too little of it, or a board of another size.
     """
     grey = _grey8(image)
     if board.kind == "charuco":
@@ -129,7 +130,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
 
 
 def _whole(grey: NDArray[np.uint8], board: Board) -> F8 | None:
-    """All corners [rows, columns, 2] by the sector detector, or None."""
+    """All corners [rows, columns, 2] by OpenCV's sector detector, or None."""
     small = board.grid[0] * board.grid[1] <= SMALL_GRID
     for flags in (cv2.CALIB_CB_ACCURACY, _SECTOR)[: 2 if small else 1]:
         found, corners = cv2.findChessboardCornersSB(grey, board.grid, flags=flags)
@@ -141,7 +142,7 @@ def _whole(grey: NDArray[np.uint8], board: Board) -> F8 | None:
 
 
 def _largest(grey: NDArray[np.uint8], board: Board) -> F8 | None:
-    """Corners [rows, columns, 2] with NaN, grown from the seed that gets furthest; None where there is no seed."""
+    """Corners [rows, columns, 2], NaN where unknown, grown from the best seed; None where there is no seed."""
     limit = max(board.grid) + 2
     best, most = None, 0
     for attempt, seed in enumerate(_seeds(grey, board)):
@@ -155,7 +156,7 @@ def _largest(grey: NDArray[np.uint8], board: Board) -> F8 | None:
 
 
 def _seeds(grey: NDArray[np.uint8], board: Board) -> Iterator[F8]:
-    """Small parts of the chessboard, [r, c, 2]; the detector's own guess last: it may skip rows."""
+    """Small parts of the chessboard, [r, c, 2]; those of OpenCV's detector last: it may skip rows."""
     yield from saddle_blocks(grey)
     for picture in (grey, cv2.createCLAHE(3.0, (6, 6)).apply(grey)):
         for side in SEED_SIDES:
@@ -166,7 +167,7 @@ def _seeds(grey: NDArray[np.uint8], board: Board) -> Iterator[F8]:
 
 
 def _cropped(grid: F8) -> F8:
-    """Without the empty surroundings, and without border rows of one or two corners: those may be strays."""
+    """The grid without its empty margins and without border rows of one or two corners, which may be false."""
     known = np.isfinite(grid[..., 0])
     rows, columns = (np.flatnonzero(known.sum(axis=axis) >= MIN_ROW) for axis in (1, 0))
     if not rows.size or not columns.size:
@@ -235,7 +236,7 @@ def _charuco(grey: NDArray[np.uint8], board: Board) -> Sighting:
     column, row = index % board.grid[0], index // board.grid[0]
     middle = (np.array(board.grid) - 1) / 2
     mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
-    # the origin is the board's own middle whatever part of it is seen: markers say which corner is which
+    # the origin is the middle of the board whichever part of it is seen: the markers number the corners
     return Sighting(pixels, mm, True, pitch_px)
 
 
@@ -261,7 +262,7 @@ def _sharpened(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
 
 
 def _charuco_pitch_px(pixels: F8, index: NDArray[np.intp], board: Board) -> float:
-    """Median distance of corners that are neighbours on the board; of the nearest ones where none are."""
+    """Median distance of corners that are neighbours on the board; of nearest corners where none are."""
     place = np.column_stack([index % board.grid[0], index // board.grid[0]])
     apart = np.abs(place[:, None] - place[None]).sum(axis=2) == 1
     distance = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
@@ -288,7 +289,8 @@ def _nearest(points: F8) -> F8:
 
 
 def _facing_camera(sighting: Sighting) -> Sighting:
-    """x to the right in the picture, y up, as near as the grid allows; so z = x cross y points at the camera."""
+    """The sighting with x to the right in the picture and y up, as near as the grid allows."""
+    # then z = x cross y points at the camera
     fit = np.linalg.lstsq(
         np.column_stack([sighting.board_mm, np.ones(len(sighting.board_mm))]), sighting.pixels, rcond=None
     )[0]

@@ -1,4 +1,4 @@
-"""Owns growing a small chessboard grid over all of the board that the picture shows: partial, cut, unevenly lit."""
+"""Growing a small chessboard grid over all of the board that a picture shows: partial, cut, unevenly lit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 F8 = NDArray[np.float64]
 REACH = 2
-"""Cells around a candidate whose corners predict it."""
+"""Half side of the square of cells whose corners predict a candidate."""
 MIN_KNOWN = 5
 CONTRAST_SHARE = 0.5
 """Least contrast between the dark and the bright squares around a corner, relative to that of its neighbours."""
@@ -18,13 +18,13 @@ _TERMINATE = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 30, 1e-3)
 def grow(grey: NDArray[np.uint8], seed: F8, limit: int) -> F8:
     """Corners [rows, columns, 2] (NaN where none is) grown from ``seed`` until no neighbour is a corner.
 
-    A candidate is predicted by an affine fit to its known neighbours, refined, and taken if it stays near and its
-    four squares alternate as a corner of this parity has to.
+    A candidate is predicted by an affine fit to its known neighbours and refined. It is accepted if it stays near the
+    prediction and its four squares alternate as a corner of this parity has to.
 
     Args:
         grey: the picture.
         seed: [r, c, 2] corners, all known.
-        limit: cells by which the grid may grow to each side.
+        limit: most cells that the grid grows to each side.
     """
     soft = cv2.GaussianBlur(grey, (0, 0), 1.0).astype(np.float64)
     grid = np.full((seed.shape[0] + 2 * limit, seed.shape[1] + 2 * limit, 2), np.nan)
@@ -57,7 +57,7 @@ def _around(cell: tuple[int, int]) -> tuple[slice, slice]:
 
 
 def _local_fit(grid: F8, cell: tuple[int, int]) -> F8 | None:
-    """Affine map [3, 2] (row step, column step, place) around ``cell`` from its known neighbours, itself left out."""
+    """Affine map [3, 2] (row step, column step, place) around ``cell`` from its known neighbours, without itself."""
     low_r, low_c = max(cell[0] - REACH, 0), max(cell[1] - REACH, 0)
     part = grid[low_r : cell[0] + REACH + 1, low_c : cell[1] + REACH + 1]
     known = np.isfinite(part[..., 0])
@@ -72,7 +72,7 @@ def _local_fit(grid: F8, cell: tuple[int, int]) -> F8 | None:
 
 
 def _squares(soft: F8, place: F8, fit: F8) -> F8 | None:
-    """Mean brightness of the four squares around a corner: (+,+), (+,-), (-,+), (-,-); None outside the picture."""
+    """Brightness of the four squares around a corner: (+,+), (+,-), (-,+), (-,-); None outside the picture."""
     quarters = np.array([(a, b) for a in (0.4, -0.4) for b in (0.4, -0.4)]) @ fit[:2] + place
     column, row = np.rint(quarters).astype(int).T
     if (row < 1).any() or (column < 1).any() or (row >= soft.shape[0] - 1).any() or (column >= soft.shape[1] - 1).any():
@@ -82,7 +82,7 @@ def _squares(soft: F8, place: F8, fit: F8) -> F8 | None:
 
 
 def _alternation(values: F8) -> float:
-    """Least bright minus most dark, signed by which diagonal is bright; 0 where they do not alternate."""
+    """Darkest bright minus brightest dark square, signed by which diagonal is bright; 0 if they do not alternate."""
     first, second = values[[0, 3]], values[[1, 2]]
     if first.min() > second.max():
         return float(first.min() - second.max())
@@ -108,7 +108,7 @@ def _alternations(soft: F8, grid: F8) -> F8:
 def _candidate(
     grey: NDArray[np.uint8], soft: F8, grid: F8, cell: tuple[int, int], contrast: F8
 ) -> tuple[F8, float] | None:
-    """Place and signed contrast of the corner at ``cell``; None where there is none."""
+    """Place and signed contrast of the corner at ``cell``; None if there is no corner."""
     fit = _local_fit(grid, cell)
     if fit is None:
         return None
@@ -131,7 +131,7 @@ def _candidate(
 
 
 def best_block(grid: F8, side: int = 5) -> F8:
-    """The block of ``side`` x ``side`` cells (or less) that is most regular: the detector's far cells may be wrong."""
+    """The most regular block of ``side`` x ``side`` cells (or less): far cells of the detector may be wrong."""
     rows, columns = min(side, grid.shape[0]), min(side, grid.shape[1])
     cells = np.argwhere(np.ones((rows, columns))) - [rows // 2, columns // 2]
     design = np.column_stack([cells, cells[:, 0] * cells[:, 1], np.ones(len(cells))])

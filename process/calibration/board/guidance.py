@@ -1,7 +1,7 @@
-"""Owns the advice while board views are collected: how each one lies, what is covered, what is missing. Pure.
+"""Advice while board views are collected: tilt and place of each view, what is covered, what is missing.
 
-A view's lean is told without knowing the camera: the board's foreshortening gives the tilt, and the side that is larger
-in the picture is the one that is higher, nearer to the camera.
+The tilt is found without knowing the camera: from the foreshortening of the board. The side that appears larger is the
+higher one, nearer to the camera.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from .detection import Board, BoardNotFoundError, Sighting, find_board
 
 F8 = NDArray[np.float64]
 FLAT_DEG = 6.0
-"""A board that leans less may lie flat: the camera need not look straight down, and small tilts are hard to see."""
+"""A board with less tilt may lie flat: the camera need not look straight down, and small tilts are hard to see."""
 TILTED_DEG = 8.0
-"""A board that leans more tells the focal length."""
+"""Least tilt that helps to determine the focal length."""
 ENOUGH_VIEWS = 8
 GRID = (3, 4)
 """Rows and columns of the coverage map."""
 SIDES = ("right", "top", "left", "bottom")
 ALIKE_DEG, ALIKE_SHARE = 3.0, 0.06
-"""Views that differ by less in lean and by less of the picture's width in place say the same thing twice."""
+"""Views that differ by less in tilt and in place (share of the picture's width) add nothing."""
 _ROWS = ("top", "", "bottom")
 _COLUMNS = ("left", "left of the middle", "right of the middle", "right")
 
@@ -51,8 +51,8 @@ class ViewFacts:
         x, y = np.mean(self.corners, axis=0) if self.corners else (0.5, 0.5)
         return float(x), float(y)
 
-    def words(self) -> str:
-        """``tilted by 14 degrees, right side higher``."""
+    def text(self) -> str:
+        """For example ``right side higher by 14 degrees``."""
         if not self.found:
             return self.reason
         part = "" if self.whole else ", in part"
@@ -61,21 +61,21 @@ class ViewFacts:
         return f"{self.higher} side higher by {self.tilt_deg:.0f} degrees{part}"
 
 
-def look(name: str, picture: NDArray[np.generic], board: Board) -> ViewFacts:
-    """The board in a grey or RGB picture of any size."""
+def assess_view(name: str, picture: NDArray[np.generic], board: Board) -> ViewFacts:
+    """Find the board in a grey or RGB picture and describe how it lies."""
     try:
         sighting = find_board(picture, board)
     except BoardNotFoundError as error:
         return ViewFacts(name, found=False, reason=str(error))
     height, width = picture.shape[:2]
-    tilt_deg, higher = lean_of(sighting)
+    tilt_deg, higher = tilt_of(sighting)
     shares = sighting.pixels / np.array([max(1, width - 1), max(1, height - 1)])
     corners = tuple((round(float(x), 4), round(float(y), 4)) for x, y in shares)
     return ViewFacts(name, True, "", sighting.whole, corners, tilt_deg, higher)
 
 
-def lean_of(sighting: Sighting) -> tuple[float, str]:
-    """Tilt in degrees and the side that is higher (empty below :data:`FLAT_DEG`)."""
+def tilt_of(sighting: Sighting) -> tuple[float, str]:
+    """Tilt in degrees and the higher side of the picture (empty below :data:`FLAT_DEG`)."""
     found, _ = cv2.findHomography(sighting.board_mm, sighting.pixels, 0)
     if found is None:
         return 0.0, ""
@@ -107,24 +107,24 @@ def _local(matrix: F8, point: F8) -> F8:
 
 @dataclass(frozen=True)
 class Guidance:
-    """What the views so far cover and what is missing."""
+    """What the views cover, and what is missing."""
 
     coverage: tuple[tuple[int, ...], ...]
-    """Views with a corner in each cell of GRID."""
+    """Number of views with a corner in each cell of GRID."""
     usable: int
     advice: tuple[str, ...]
-    """What to do next, the most important first; empty when there is enough."""
+    """What to do next, the most important first; empty when there are enough views."""
     stage_view: str
-    """A view with the whole board lying flat, which can carry the world; empty while there is none."""
+    """Name of a view with the whole board lying flat, which can define the world; empty while there is none."""
 
     @property
     def ready(self) -> bool:
-        """There is enough to calibrate."""
+        """True if the views are enough to calibrate."""
         return not self.advice
 
 
 def guide(views: Sequence[ViewFacts]) -> Guidance:
-    """What to show the camera next."""
+    """Coverage of the views, and advice on the next one."""
     good = [view for view in views if view.found]
     coverage = _coverage(good)
     flat = [view for view in good if not view.higher and view.whole]
@@ -144,14 +144,14 @@ def guide(views: Sequence[ViewFacts]) -> Guidance:
     return Guidance(coverage, len(good), tuple(advice), flat[-1].name if flat else "")
 
 
-def live_words(live: ViewFacts, views: Sequence[ViewFacts]) -> str:
-    """What to do with the picture that the camera sees now."""
+def live_advice(live: ViewFacts, views: Sequence[ViewFacts]) -> str:
+    """What to do with the current picture of the camera."""
     if not live.found:
         return f"no board: {live.reason}"
     twin = next((view for view in views if view.found and _alike(view, live)), None)
     if twin is not None:
-        return f"{live.words()}: as in {twin.name}; move or tilt it first"
-    return f"{live.words()}: a new view, capture it"
+        return f"{live.text()}: as in {twin.name}; move or tilt it first"
+    return f"{live.text()}: a new view, capture it"
 
 
 def _alike(one: ViewFacts, other: ViewFacts) -> bool:
@@ -175,7 +175,7 @@ def _coverage(views: Sequence[ViewFacts]) -> tuple[tuple[int, ...], ...]:
 
 
 def _empty_corners(coverage: tuple[tuple[int, ...], ...]) -> list[str]:
-    """Names of the empty cells, corners of the picture first: distortion is largest there."""
+    """Names of the empty cells, those in the corners first: distortion is largest there."""
     rows, columns = GRID
     cells = [(row, column) for row in range(rows) for column in range(columns) if not coverage[row][column]]
     outer = (0, rows - 1), (0, columns - 1)

@@ -1,6 +1,7 @@
-"""Owns the pose of a plane in one view: both that the picture allows, which fits, and whether they can be told apart.
+"""Pose of a plane in one view: the two poses that the picture allows, and whether they can be told apart.
 
-A plane seen from far away looks nearly the same tilted forth and back. Only perspective tells the two apart.
+A plane seen from far away looks nearly the same tilted to one side and to the other; only perspective distinguishes the
+two poses. Equation 1 with OpenCV's distortion, mm and px.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ F8 = NDArray[np.float64]
 SAME_POSE_DEG = 0.05
 """Two refined poses within this angle are one."""
 TELL_APART = 25.0
-"""Least difference of the squared errors, in units of the noise's variance, for the better pose to be believed."""
+"""Least chi squared between both poses for the better one to be accepted."""
 NOISE_FLOOR_PX = 0.02
-"""Corners are not better than this, so differences below it mean nothing."""
+"""Corners are not more accurate than this, however well they fit."""
 _REFINE = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
 
 
 @dataclass(frozen=True)
-class Pose:
+class PlanePose:
     """X_cam = R X_board + T."""
 
     rotation_vector: F8
@@ -32,15 +33,15 @@ class Pose:
     rms_px: float
     """Root mean square of the distance between seen and predicted corners."""
     ambiguous: bool
-    """The mirrored pose explains the view nearly as well."""
+    """True if the mirrored pose explains the view nearly as well."""
     mirrored_rms_px: float
-    """The same for the other pose; infinite where there is none."""
-    other: Pose | None = None
+    """The same for the mirrored pose; infinite where there is none."""
+    other: PlanePose | None = None
     """The mirrored pose."""
 
     @property
     def rotation(self) -> F8:
-        """[3, 3]."""
+        """Rotation matrix [3, 3]."""
         return np.asarray(cv2.Rodrigues(self.rotation_vector)[0], dtype=np.float64)
 
     @property
@@ -55,8 +56,8 @@ def project(object_mm: F8, rotation_vector: F8, translation: F8, matrix: F8, dis
     return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
 
-def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> Pose:
-    """The better of the two poses of a plane, refined, and whether the other can be excluded.
+def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> PlanePose:
+    """The better of the two poses of a plane, refined, and whether the other one can be excluded.
 
     Args:
         object_mm: [n, 3] with z = 0.
@@ -81,8 +82,8 @@ def find_pose(object_mm: F8, pixels: F8, matrix: F8, distortion: F8) -> Pose:
     other_rms = others[0][0] if others else float("inf")
     noise = max(best[0], NOISE_FLOOR_PX) ** 2 / 2
     ambiguous = bool(len(pixels) * (other_rms**2 - best[0] ** 2) / noise < TELL_APART)
-    mirrored = Pose(others[0][1], others[0][2], other_rms, ambiguous, best[0]) if others else None
-    return Pose(best[1], best[2], best[0], ambiguous, other_rms, mirrored)
+    mirrored = PlanePose(others[0][1], others[0][2], other_rms, ambiguous, best[0]) if others else None
+    return PlanePose(best[1], best[2], best[0], ambiguous, other_rms, mirrored)
 
 
 def _angle_deg(first: F8, second: F8) -> float:

@@ -1,4 +1,4 @@
-"""Owns the first few corners of a chessboard that is not whole in the picture: saddle points that form a cross."""
+"""Saddle points of the brightness: the first corners of a partial chessboard, and sub-pixel refinement."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ F8 = NDArray[np.float64]
 MOST_POINTS = 4000
 MOST_SEEDS = 12
 SMOOTHING_PX = (1.2, 2.5)
-"""Widths at which saddles are looked for: sharp pictures, then blurred ones."""
+"""Smoothing widths at which saddles are searched: for sharp pictures, then for blurred ones."""
 NEAR_SHARE = 0.12
-"""Of the pitch: how near a saddle has to be to where the cross puts it."""
+"""Largest distance of a saddle from its predicted place, as a share of the pitch."""
 
 
 def saddle_blocks(grey: NDArray[np.uint8]) -> Iterator[F8]:
@@ -35,9 +35,10 @@ def saddle_blocks(grey: NDArray[np.uint8]) -> Iterator[F8]:
 
 
 def _saddles(grey: NDArray[np.uint8], width: float) -> F8:
-    """Places [n, 2] where the brightness curves up one way and down the other, whole pixels."""
+    """Places [n, 2] (whole pixels) where the brightness curves up in one direction and down in the other."""
     soft = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), width)
     second = [cv2.Sobel(soft, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (0, 2), (1, 1))]
+    # strength of a saddle: minus the determinant of the Hessian, the mixed term weighted by 4
     saddle = np.maximum(second[2] ** 2 * 4.0 - second[0] * second[1], 0)
     peak = (saddle == cv2.dilate(saddle, np.ones((5, 5), np.uint8))) & (saddle > 0)
     peak[:3], peak[-3:], peak[:, :3], peak[:, -3:] = False, False, False, False
@@ -51,7 +52,7 @@ def _saddles(grey: NDArray[np.uint8], width: float) -> F8:
 
 
 def _block(points: F8, index: int) -> F8 | None:
-    """The 3 x 3 corners around one of ``points``, by its nearest neighbour and the one square to it."""
+    """The 3 x 3 corners around one of ``points``, from its nearest neighbour and the one at right angles to it."""
     place = points[index]
     offset = points - place
     distance = np.linalg.norm(offset, axis=1)
@@ -82,14 +83,15 @@ def _apart(block: F8, other: F8) -> bool:
 def refine_saddles(grey: NDArray[np.uint8], places: F8, pitch_px: float) -> F8:
     """Saddle points of a quadratic fitted to the smoothed picture around each of ``places`` [n, 2], sub-pixel.
 
-    Unbiased for a corner that is symmetric about its middle; two to three times less noise than the gradient method
-    on synthetic boards. NaN where there is no saddle within a third of the pitch.
+    Unbiased for a corner that is symmetric about its middle; a half to a third of the noise of the gradient method on
+    synthetic boards. NaN where there is no saddle within a third of the pitch.
     """
     half = int(np.clip(round(0.34 * pitch_px), 2, 14))
     soft = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), max(pitch_px / 12, 0.8))
     y, x = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64).reshape(2, -1)
     weight = np.exp(-(x * x + y * y) / (2 * (half / 1.7) ** 2))
     design = np.column_stack([x * x, x * y, y * y, x, y, np.ones(len(x))])
+    # weighted least squares as one matrix: the window is the same for every corner
     solve = np.linalg.pinv(design * weight[:, None]) * weight
     side = 2 * half + 1
     found: F8 = np.array(places, dtype=np.float64)

@@ -1,1 +1,1 @@
-"""The camera."""
+"""Calibration method: the camera from pictures of a board."""

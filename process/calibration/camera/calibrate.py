@@ -1,4 +1,4 @@
-"""Owns the calibration of the camera from pictures of a board: what it is, how well it is known, what cannot be."""
+"""Camera calibration from pictures of a board: intrinsics, pose of the stage, uncertainty, and its limits as notes."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 from process.calibration.board.detection import Board, BoardNotFoundError, Sighting, find_board
-from process.calibration.board.poses import Pose, find_pose, project
+from process.calibration.board.poses import PlanePose, find_pose, project
 
-from .bundle import NAMES, Fit, as_vector, joint_covariance
+from .bundle import NAMES, CameraFit, as_vector, joint_covariance
 from .selection import MIN_VIEWS, choose_corners, choose_model, harmful_view
 
 F8 = NDArray[np.float64]
 MIN_TILT_SPREAD_DEG = 3.0
-"""Views that are all parallel to within this say nothing about the focal length."""
+"""Least difference between the tilts of the views: parallel views say nothing about the focal length."""
 LITTLE_COVERAGE = 0.5
 VOLUME_HALF_HEIGHT_MM = 0.5
 DRAWS = 40
 
 
 @dataclass(frozen=True)
-class View:
-    """A picture and what became of it."""
+class BoardView:
+    """A picture and how it was used."""
 
     name: str
     sighting: Sighting | None
     reason: str = ""
-    """Why it was left out; empty when it was used."""
+    """Why it was left out; empty if it was used."""
     rms_px: float = float("nan")
     tilt_deg: float = float("nan")
 
@@ -43,11 +43,11 @@ class CameraResult:
 
     size: tuple[int, int]
     board: Board
-    fit: Fit
+    fit: CameraFit
     used: tuple[Sighting, ...]
-    views: tuple[View, ...]
-    stage: Pose | None
-    """Pose of the board lying flat; it makes the world. None: the world is the camera's own frame."""
+    views: tuple[BoardView, ...]
+    stage: PlanePose | None
+    """Pose of the board lying flat, which defines the world. None: the world is the camera's own frame."""
     corner_estimate: str
     held_out_px: dict[str, float]
     coverage: float
@@ -55,12 +55,12 @@ class CameraResult:
     predicted_um: tuple[float, float]
     """Predicted error at the corners of the field: at z = 0 and half a millimetre above (standard deviations)."""
     stage_sighting: Sighting | None = None
-    """The corners that ``stage`` is from."""
+    """The corners of the stage view."""
     notes: tuple[str, ...] = field(default=())
 
     @property
     def covariance(self) -> F8:
-        """[15, 15] of the intrinsics and the world's pose (rotation vector, translation)."""
+        """Covariance [15, 15] of the intrinsics and the world's pose (rotation vector, translation)."""
         if self.stage is not None and self.stage_sighting is not None:
             return joint_covariance(self.fit, self.stage_sighting, as_vector(self.stage))
         found = np.zeros((15, 15))
@@ -71,6 +71,29 @@ class CameraResult:
     def sd(self) -> dict[str, float]:
         """Standard deviations of the intrinsics."""
         return dict(zip(NAMES, np.sqrt(np.diag(self.fit.covariance)).tolist(), strict=True))
+
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
+        fit, sd = self.fit, self.sd
+        fx, fy, cx, cy = fit.intrinsics[:4]
+        terms = ", ".join(
+            f"{name} = {value:.4g} +- {sd[name]:.2g}"
+            for name, value in zip(("k1", "k2", "p1", "p2", "k3"), fit.distortion, strict=True)
+            if sd[name] > 0
+        )
+        lines = [f"left out {view.name}: {view.reason}" for view in self.views if view.reason]
+        lines += [
+            f"{len(self.used)} of {len(self.views)} views, reprojection error {fit.rms_px:.4f} px RMS "
+            f"(corners by the {self.corner_estimate} estimate)",
+            f"fx = {fx:.2f} +- {sd['fx']:.2f}, fy = {fy:.2f} +- {sd['fy']:.2f}, "
+            f"cx = {cx:.2f} +- {sd['cx']:.2f}, cy = {cy:.2f} +- {sd['cy']:.2f} px",
+            f"distortion: {terms or 'none'} (chosen by held-out views: "
+            + ", ".join(f"{model} {error:.4f}" for model, error in self.held_out_px.items())
+            + " px)",
+        ]
+        if self.stage is None:
+            lines.append("note: no --stage view: the world is the camera's own frame")
+        return lines + [f"note: {note}" for note in self.notes]
 
     def document(self) -> dict[str, Any]:
         """The ``camera`` object of calibration.json, with its quality."""
@@ -108,17 +131,17 @@ def _number(value: float) -> float | None:
 def calibrate_camera(
     pictures: Sequence[tuple[str, NDArray[np.generic]]], board: Board, stage: str | None = None, corners: str = "auto"
 ) -> CameraResult:
-    """The camera from named pictures of the board.
+    """Calibrate the camera from named pictures of the board.
 
     Args:
         pictures: (name, grey or RGB pixels), all of one size.
         board: the pattern.
         stage: name of the picture with the board lying flat on the stage: z = 0, origin in the middle of the pattern.
-        corners: estimate of the corners: saddle, sector, gradient, or auto (which fits best, or the mean of two).
+        corners: estimate of the corners: saddle, sector, gradient, or auto (the best one, or the mean of two).
 
     Raises:
-        CalibrationError: fewer than three usable views, parallel views, sizes that differ, a stage view that cannot
-            carry the world: each in its own words.
+        CalibrationError: fewer than three usable views, parallel views, different sizes, or a stage view that cannot
+            define the world.
     """
     size = _common_size(pictures)
     if stage is not None and stage not in [name for name, _ in pictures]:
@@ -163,21 +186,21 @@ def _common_size(pictures: Sequence[tuple[str, NDArray[np.generic]]]) -> tuple[i
     return width, height
 
 
-def _view(name: str, pixels: NDArray[np.generic], board: Board) -> View:
+def _view(name: str, pixels: NDArray[np.generic], board: Board) -> BoardView:
     try:
-        return View(name, find_board(pixels, board))
+        return BoardView(name, find_board(pixels, board))
     except BoardNotFoundError as error:
-        return View(name, None, str(error))
+        return BoardView(name, None, str(error))
 
 
-def _enough(count: int, found: Sequence[View]) -> None:
+def _enough(count: int, found: Sequence[BoardView]) -> None:
     if count >= MIN_VIEWS:
         return
     why = next((f"; {view.name}: {view.reason}" for view in found if view.reason), "")
     raise CalibrationError(f"too few views: the board was found in {count} of {len(found)}, it takes {MIN_VIEWS}{why}")
 
 
-def _not_parallel(fit: Fit) -> None:
+def _not_parallel(fit: CameraFit) -> None:
     normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in fit.poses])
     spread = np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1)).max())
     if spread < MIN_TILT_SPREAD_DEG:
@@ -187,18 +210,18 @@ def _not_parallel(fit: Fit) -> None:
         )
 
 
-def _account(view: View, names: Sequence[str], dropped: dict[str, str], fit: Fit) -> View:
+def _account(view: BoardView, names: Sequence[str], dropped: dict[str, str], fit: CameraFit) -> BoardView:
     if view.name not in names:
-        return View(view.name, view.sighting, dropped.get(view.name, view.reason))
+        return BoardView(view.name, view.sighting, dropped.get(view.name, view.reason))
     index = names.index(view.name)
     normal = np.asarray(cv2.Rodrigues(fit.poses[index][:3])[0])[:, 2]
     tilt = float(np.degrees(np.arccos(min(abs(float(normal[2])), 1.0))))
-    return View(view.name, view.sighting, "", fit.view_rms_px[index], tilt)
+    return BoardView(view.name, view.sighting, "", fit.view_rms_px[index], tilt)
 
 
 def _stage_pose(
-    stage: str, names: Sequence[str], sightings: Sequence[Sighting], found: Sequence[View], fit: Fit
-) -> Pose:
+    stage: str, names: Sequence[str], sightings: Sequence[Sighting], found: Sequence[BoardView], fit: CameraFit
+) -> PlanePose:
     if stage not in names:
         reason = next(view.reason for view in found if view.name == stage)
         raise CalibrationError(f"the stage view {stage} cannot carry the world: {reason}")
@@ -219,10 +242,11 @@ def _coverage(sightings: Sequence[Sighting], size: tuple[int, int]) -> float:
     return float(cv2.contourArea(cv2.convexHull(points.reshape(-1, 1, 2)))) / (size[0] * size[1])
 
 
-def _predicted_um(fit: Fit, size: tuple[int, int], view: Sighting) -> tuple[float, float]:
+def _predicted_um(fit: CameraFit, size: tuple[int, int], view: Sighting) -> tuple[float, float]:
     """Standard deviation in um of a point at a corner of the field, on the board's plane and above it.
 
-    Cameras are drawn from the covariance; each is given the pose in which it sees the board's corners where they were.
+    Monte Carlo: random cameras of the fitted covariance, each with the pose in which it sees the board's corners where
+    they were.
     """
     nominal = find_pose(view.object_mm, view.pixels, fit.matrix, fit.distortion)
     seen = project(view.object_mm, nominal.rotation_vector, nominal.translation, fit.matrix, fit.distortion)
@@ -233,15 +257,15 @@ def _predicted_um(fit: Fit, size: tuple[int, int], view: Sighting) -> tuple[floa
     generator, errors = np.random.default_rng(1), []
     for _ in range(DRAWS):
         drawn = fit.intrinsics + root @ generator.normal(size=9)
-        other = Fit(drawn, (), fit.covariance, 0.0, (), fit.model)
+        other = CameraFit(drawn, (), fit.covariance, 0.0, (), fit.model)
         pose = find_pose(view.object_mm, seen, other.matrix, other.distortion)
         errors.append(_on_plane(corners, pose, other.matrix, other.distortion) - reference)
     spread = np.sqrt((np.array(errors)[..., :2] ** 2).sum(axis=-1).mean(axis=0)).max(axis=0)
     return float(spread[0]) * 1000, float(spread[1]) * 1000
 
 
-def _on_plane(pixels: F8, pose: Pose, matrix: F8, distortion: F8) -> F8:
-    """Where rays meet z = 0 and z = VOLUME_HALF_HEIGHT_MM of the board: [n, 2, 3]."""
+def _on_plane(pixels: F8, pose: PlanePose, matrix: F8, distortion: F8) -> F8:
+    """Points [n, 2, 3] where rays meet z = 0 and z = VOLUME_HALF_HEIGHT_MM of the board."""
     flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(-1, 2)
     rays = np.column_stack([flat, np.ones(len(flat))]) @ pose.rotation
     centre = -pose.rotation.T @ pose.translation
@@ -250,7 +274,7 @@ def _on_plane(pixels: F8, pose: Pose, matrix: F8, distortion: F8) -> F8:
 
 
 def _notes(
-    fit: Fit, size: tuple[int, int], coverage: float, predicted: tuple[float, float],
+    fit: CameraFit, size: tuple[int, int], coverage: float, predicted: tuple[float, float],
     sightings: Sequence[Sighting], *, world: bool,
 ) -> tuple[str, ...]:  # fmt: skip
     sd = np.sqrt(np.diag(fit.covariance))

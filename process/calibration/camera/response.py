@@ -1,4 +1,7 @@
-"""Owns how a camera answers to light: gamma and black level from exposures, and what that does to crossings."""
+"""Response of a camera to light: gamma and black level from an exposure series, and their effect on crossings.
+
+Model: counts = black + k (light)^gamma, counts of 8 bit, k of each group of pixels free.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,13 @@ MIN_EXPOSURES = 4
 MIN_RANGE = 3.0
 """Longest over shortest exposure that is needed."""
 SATURATED_SHARE = 0.98
-"""Of full scale; brighter groups are left out."""
+"""Share of full scale beyond which a group is left out."""
 DARK_COUNTS = 4.0
-"""Above black (8 bit); darker groups say nothing but rounding."""
+"""Counts of 8 bit above black below which a group is left out: rounding dominates."""
 GAMMA_LIMIT = 0.03
 LINEARITY_LIMIT = 0.02
 STRAY_SHARE = 0.4
-"""Dark level over bright one of a pixel in strong stray light, for saying what gamma does."""
+"""Dark over bright level of a pixel in strong stray light, for the example in the result."""
 ROUNDS = 60
 
 
@@ -44,19 +47,19 @@ class Response:
 
     @property
     def linear(self) -> bool:
-        """Within what half brightness can bear."""
+        """True if half brightness is half of the light, within the limits."""
         return abs(self.gamma - 1) <= max(GAMMA_LIMIT, 3 * self.gamma_sd) and self.nonlinearity <= LINEARITY_LIMIT
 
     def shift_widths(self, stray: float = 0.0) -> float:
-        """By how many widths of a rising edge the half of the counts comes after half of the light.
+        """Delay of half of the counts after half of the light, in widths of a rising edge.
 
-        ``stray`` is the light before the edge over that after it.
+        ``stray``: light before the edge over light after it.
         """
         half = ((stray**self.gamma + 1) / 2) ** (1 / self.gamma)
         return NormalDist().inv_cdf(min(max((half - stray) / (1 - stray), 1e-9), 1 - 1e-9))
 
-    def words(self, width_um: float) -> list[str]:
-        """For people; ``width_um`` is the standard deviation of a light edge in um of travel."""
+    def lines(self, width_um: float) -> list[str]:
+        """The result as lines of text; ``width_um``: standard deviation of a light edge in um of travel."""
         lines = [
             f"gamma {self.gamma:.3f} +- {self.gamma_sd:.3f}, black at {self.black_counts:.1f} of 255, at most "
             f"{100 * self.nonlinearity:.1f} % off a straight line over {self.exposures} exposures"
@@ -119,7 +122,7 @@ def _groups(stack: F8) -> tuple[F8, NDArray[np.bool_]]:
 
 
 def _fitted(t: F8, levels: F8, used: NDArray[np.bool_], saturated: float) -> Response:
-    """Gauss-Newton over black level and gamma; each group's factor follows from them."""
+    """Gauss-Newton iteration over black level and gamma; the factor of each group follows from them."""
     x, step = np.array([max(float(levels.min()) - 1.0, 0.0), 1.0]), np.array([1e-3, 1e-4])
     for _ in range(ROUNDS):
         off = _residual(x, t, levels, used)
@@ -146,7 +149,7 @@ def _fitted(t: F8, levels: F8, used: NDArray[np.bool_], saturated: float) -> Res
 
 
 def _residual(x: F8, t: F8, levels: F8, used: NDArray[np.bool_]) -> F8:
-    """Measured minus model, of the used levels; the factor k of each group by least squares."""
+    """Measured minus model counts of the used levels, with the factor k of each group by least squares."""
     light = (t ** x[1])[:, None] * used
     above = (levels - x[0]) * used
     factor = (light * above).sum(axis=0) / np.maximum((light**2).sum(axis=0), 1e-300)

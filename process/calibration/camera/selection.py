@@ -1,4 +1,4 @@
-"""Owns choices that the data make: how many distortion terms, which corner estimate, which views are left out."""
+"""Choices by the data: number of distortion terms, estimate of the corners, views that are left out."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from numpy.typing import NDArray
 from process.calibration.board.detection import Sighting
 from process.calibration.board.poses import find_pose
 
-from .bundle import MODELS, Fit, fit_camera, thinned
+from .bundle import MODELS, CameraFit, fit_camera, thinned
 
 MOST_FOLDS = 10
 HELD_OUT_CORNERS = 300
 WORTHWHILE = 0.002
-"""A model with more terms has to lower the held-out error by this share."""
+"""Least share by which a model with more terms has to lower the held-out error."""
 COMPARABLE = 1.2
-"""Estimates of the corners whose residuals differ by more are not averaged: the worse one would bring its bias."""
+"""Estimates of the corners whose residuals differ by more are not averaged: the worse one would add its bias."""
 SURE = 1.0
-"""Standard deviations by which the first radial term differs from nothing where it is taken all the same: points where
-no view was are nearer to the truth with it then."""
+"""Standard deviations from zero beyond which the first radial term is taken without a lower held-out error: where no
+view was, points are then nearer to the truth with it."""
 HARMFUL = 3.0
-"""A view whose residual is so many times the median of the others does not show the same board."""
+"""A view whose residual is so many times the median of all does not show the same board."""
 HARMFUL_FLOOR_PX = 0.05
 MIN_VIEWS = 3
 K1 = 4
-"""Where the first radial term lies among the intrinsics."""
+"""Index of the first radial term among the intrinsics."""
 
 
 def choose_model(
-    views: Sequence[Sighting], size: tuple[int, int], start: Fit | None = None
-) -> tuple[Fit, dict[str, float]]:
-    """The fit with the distortion model that predicts views it has not seen best, and each model's held-out RMS in px.
+    views: Sequence[Sighting], size: tuple[int, int], start: CameraFit | None = None
+) -> tuple[CameraFit, dict[str, float]]:
+    """The fit with the distortion model that predicts held-out views best, and the held-out RMS of each model in px.
 
-    A model with more terms is taken only if it predicts clearly better. For the first radial term (every lens has
-    it) that is by WORTHWHILE, or if it is larger than its own uncertainty: a small board in the middle of the field
-    hardly shows it, and at the corners it is microns. For more terms also by more than the standard error of the
-    difference over the views: what they fit by chance is far off where no board was. A first term that is left out is
-    uncertain still.
+    A model with more terms is taken only if it predicts clearly better: by WORTHWHILE, and for more than the first
+        radial term also by more than the standard error of the difference over the views; terms fitted to chance are
+        far off where no board was. The first term is also taken if it is larger than its uncertainty: a small board in
+        the middle of the field hardly shows it, and at the corners it is microns. Left out, it remains as an
+        uncertainty.
     """
     first = fit_camera(views, size, "k1", start)
     fits, squares = {}, {}
@@ -60,18 +60,18 @@ def choose_model(
     return fits[chosen], {model: float(np.sqrt(found.mean())) for model, found in squares.items()}
 
 
-def _sure_of_k1(fit: Fit) -> bool:
+def _sure_of_k1(fit: CameraFit) -> bool:
     return bool(abs(fit.intrinsics[K1]) > SURE * np.sqrt(fit.covariance[K1, K1]))
 
 
-def without_k1(fit: Fit) -> NDArray[np.float64]:
-    """Covariance [9, 9] of a camera whose first radial term is left out: it may be what ``fit`` found, or more."""
+def without_k1(fit: CameraFit) -> NDArray[np.float64]:
+    """Covariance [9, 9] of a camera without first radial term: that of ``fit``, and what leaving the term out does."""
     answer = fit.covariance[:, K1] / max(float(fit.covariance[K1, K1]), 1e-300)
     return np.asarray(fit.covariance + fit.intrinsics[K1] ** 2 * np.outer(answer, answer), dtype=np.float64)
 
 
-def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: Fit) -> NDArray[np.float64]:
-    """Mean square in px^2 of each view that was not in the fit: its pose is free, the camera is that of the others."""
+def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: CameraFit) -> NDArray[np.float64]:
+    """Mean square in px^2 of each view, its pose fitted with the camera of the other views."""
     folds = min(len(views), MOST_FOLDS)
     views = thinned(views, HELD_OUT_CORNERS)
     found = np.zeros(len(views))
@@ -90,9 +90,9 @@ def choose_corners(
 ) -> tuple[list[Sighting], str]:
     """The views with one estimate of their corners, and its name.
 
-    ``auto`` takes the estimate that fits one camera best, or its mean with the second best, each weighted by the
-    inverse of its variance, where the two are comparable and their mean fits better still: their errors are partly
-    independent. A view that lacks an estimate keeps its own.
+    ``auto`` takes the estimate that fits one camera best, or its mean with the second best, weighted by the inverse
+    variances, if both are comparable and the mean fits better: their errors are partly independent. A view without an
+    estimate keeps its own corners.
     """
     if wanted != "auto":
         return _with_corners(views, wanted), wanted
@@ -117,8 +117,8 @@ def _with_corners(views: Sequence[Sighting], name: str) -> list[Sighting]:
     return [replace(view, pixels=view.others.get(name, view.pixels), others={}) for view in views]
 
 
-def harmful_view(views: Sequence[Sighting], fit: Fit, keep: int | None) -> tuple[int, str] | None:
-    """The view that fits worst, if it should be left out, with the reason; never view ``keep``."""
+def harmful_view(views: Sequence[Sighting], fit: CameraFit, keep: int | None) -> tuple[int, str] | None:
+    """Index of a view that should be left out, and the reason; None if there is none. Never view ``keep``."""
     median = float(np.median(fit.view_rms_px))
     for index in np.argsort(fit.view_rms_px)[::-1]:
         own = fit.view_rms_px[index]

@@ -1,1 +1,1 @@
-"""Checks."""
+"""Checks of a calibration: flatness, scale, spheres, repeatability."""

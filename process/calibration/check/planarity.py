@@ -1,4 +1,4 @@
-"""Owns checking a calibration with a sweep over a board or a flat: planarity, and how far the plane has shifted."""
+"""Check of a calibration by a sweep over a board or a flat: flatness, offset, scale, shift of the light plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.errors import CalibrationError
 from process.calibration.light_plane import robust
-from process.calibration.light_plane.surfaces import Surface
+from process.calibration.light_plane.surfaces import Surface, meet
 from process.calibration.light_plane.sweeps import FoldedSweep
 from process.cloud.triangulation import Hits, intersect, plane_table, rays
 
@@ -26,18 +26,18 @@ MIN_CORNER_PIXELS = 20
 
 @dataclass(frozen=True)
 class BoardScale:
-    """The board's corners in the cloud against the board."""
+    """Scale of the board's corners in the cloud against the board."""
 
     percent: float
-    """By how much distances are too large."""
+    """Excess of distances in the cloud."""
     rms_um: float
-    """Of the corners' distances from the board, scaled to fit."""
+    """Root mean square distance of the corners from the board after scaling."""
     corners: int
 
 
 @dataclass(frozen=True)
 class Repeatability:
-    """Two sweeps over the same thing."""
+    """Agreement of two sweeps over the same object."""
 
     points: int
     shift_um: float
@@ -45,15 +45,15 @@ class Repeatability:
     sd_um: float
     """Standard deviation of a point in one of them; 3 of 1000 left out."""
 
-    def words(self) -> list[str]:
-        """For people."""
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
         return [f"{self.points} points in both sweeps: shift {self.shift_um:+.3f} um, a point repeats within "
                 f"{self.sd_um:.3f} um (standard deviation)"]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a sweep over a plane says of a calibration."""
+    """Result of a sweep over a plane."""
 
     name: str
     points: int
@@ -70,16 +70,16 @@ class CheckResult:
     offset_um: float | None
     """Mean distance of the points from the board's pose, along its normal; None for a flat."""
     shift_t: float
-    """How much later the light came than the calibration says (unit of its parameter), median."""
+    """Delay of the light against the calibration, in the unit of its parameter."""
     shift_um: float
     """The same along the light plane's normal."""
     zero_id: str = ""
-    """Of the sweep; empty where that is not known."""
+    """Homing of the sweep; empty where that is not known."""
     scale: BoardScale | None = None
     """Distances in the cloud against the board; None for a flat."""
 
-    def words(self) -> list[str]:
-        """For people."""
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
         lines = [
             f"{self.name}: {self.points} points, flatness {self.flatness_error_um:.2f} um (95 %: "
             f"{self.flatness_range_um:.2f} um), RMS {self.flatness_rms_um:.2f} um, locally {self.local_rms_um:.2f} um",
@@ -96,7 +96,7 @@ class CheckResult:
 
 
 def cloud_of(sweep: FoldedSweep, camera: CameraModel, plane: TranslatingPlane) -> F8:
-    """Points [h, w, 3] in mm of a folded sweep, NaN where there is none.
+    """Points [h, w, 3] in mm of a folded sweep, NaN where there is none (algorithm 4).
 
     Raises:
         CalibrationError: the sweep's coordinate is not the plane's.
@@ -113,7 +113,7 @@ def cloud_of(sweep: FoldedSweep, camera: CameraModel, plane: TranslatingPlane) -
 
 
 def repeatability(first: F8, second: F8) -> Repeatability:
-    """How two maps of points [h, w, 3] of the same thing agree, pixel by pixel.
+    """Compare two maps of points [h, w, 3] of the same object, pixel by pixel.
 
     Raises:
         CalibrationError: hardly a pixel has a point in both.
@@ -153,7 +153,7 @@ def check_surface(surface: Surface, camera: CameraModel, plane: TranslatingPlane
         points=int(near.sum()),
         flatness_rms_um=float(np.sqrt((flat**2).mean())),
         flatness_range_um=float(high - low),
-        # on a board some pixels are lit first by what another square reflects: those say nothing of flatness
+        # on a board some pixels are lit first by light from another square: those say nothing about flatness
         flatness_error_um=float(np.ptp(least_rejected(distance[near] if known else distance))) * 1000,
         local_rms_um=_local(points[near], pixels[near], sweep.crossing.shape[1]),
         tilt_deg=float(np.degrees(np.arccos(min(float(aligned @ surface.normal), 1.0)))) if known else None,
@@ -166,7 +166,7 @@ def check_surface(surface: Surface, camera: CameraModel, plane: TranslatingPlane
 
 
 def _board_scale(surface: Surface, camera: CameraModel, points: F8, pixels: NDArray[np.intp]) -> BoardScale | None:
-    """Corners of the board in the cloud: each where its ray meets the plane of the points around it."""
+    """Scale from the corners of the board in the cloud: each where its ray meets the plane of the points around it."""
     sighting = surface.sighting
     if sighting is None:
         return None
@@ -190,7 +190,7 @@ def _board_scale(surface: Surface, camera: CameraModel, points: F8, pixels: NDAr
 
 
 def _scaled(board: F8, cloud: F8) -> BoardScale:
-    """Similarity from the board [n, 2] to the cloud [n, 3] by least squares."""
+    """Similarity transform from the board [n, 2] to the cloud [n, 3] by least squares (Umeyama)."""
     flat = np.column_stack([board, np.zeros(len(board))])
     a, b = flat - flat.mean(axis=0), cloud - cloud.mean(axis=0)
     left, values, right = np.linalg.svd(b.T @ a)
@@ -202,21 +202,17 @@ def _scaled(board: F8, cloud: F8) -> BoardScale:
 
 
 def _shift(surface: Surface, camera: CameraModel, plane: TranslatingPlane) -> float:
-    """Median of measured minus predicted t on the surface's known pose."""
-    view = rays(camera)
-    directions = view.directions[surface.pixels]
-    distance = (surface.normal @ (surface.point - view.centre_mm)) / (directions @ surface.normal)
-    x = view.centre_mm + distance[:, None] * directions
+    """Mean of measured minus predicted t on the surface in its known pose, without outliers."""
+    x = meet(rays(camera), surface.point, surface.normal, surface.pixels)
     n = np.array(plane.normal)
     wanted = ((x - np.array(plane.corner_origin_mm)) @ n) / float(n @ np.array(plane.corner_velocity_mm))
     late = surface.sweep.t.ravel()[surface.pixels] - wanted
-    middle = float(np.median(late))
-    scale = robust.MAD_TO_SIGMA * float(np.median(np.abs(late - middle)))
+    middle, scale = robust.median_and_scale(late)
     return float(late[np.abs(late - middle) <= 3 * max(scale, 1e-12)].mean())
 
 
 def _best_plane(points: F8) -> tuple[F8, F8, NDArray[np.bool_]]:
-    """Normal, signed distances [n] in mm, and which points are not outliers; z as a function of x and y, robustly."""
+    """Normal, signed distances [n] in mm, and which points are not outliers, by a robust fit of z over x and y."""
     design = np.column_stack([points[:, :2], np.ones(len(points))])
     fit = robust.solve(design, points[:, 2])
     normal = np.array([-fit.x[0], -fit.x[1], 1.0])

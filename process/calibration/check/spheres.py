@@ -1,4 +1,4 @@
-"""Owns spheres in a point cloud: found, fitted, and judged by the figures of VDI/VDE 2634 part 2."""
+"""Spheres in a map of points: detection, fit, and probing errors by VDI/VDE 2634 part 2."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from process.calibration.light_plane import robust
 
 F8 = NDArray[np.float64]
 REJECTED_SHARE = 0.003
-"""Of the points that may be left out of a probing or flatness error."""
+"""Share of the points that may be left out of a probing or flatness error."""
 MIN_POINTS = 500
 MOST_POINTS = 60_000
 PLANE_SHARE = 0.3
-"""A plane that holds so much of the cloud is the stage, not a sphere."""
+"""A plane that holds at least this share of the cloud is the stage."""
 PLANE_MM = 0.02
 ROUNDNESS = 0.05
-"""A part of the cloud whose residuals are larger than this share of its radius is no sphere."""
+"""Residual, as a share of the radius, beyond which a part of the cloud is no sphere."""
 TUKEY = 6.0
 ROUNDS = 30
 
@@ -44,7 +44,7 @@ class Sphere:
 
 
 def find_spheres(points: F8) -> list[Sphere]:
-    """Spheres in a map of points, the largest part first.
+    """Find the spheres in a map of points, the largest part first.
 
     Args:
         points: [h, w, 3] mm, NaN where there is none.
@@ -72,7 +72,7 @@ def find_spheres(points: F8) -> list[Sphere]:
 
 
 def _stage(points: F8, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels of the plane that the spheres lie on; none where no plane is seen."""
+    """Mask of the pixels of the plane that the spheres lie on, by RANSAC; empty where there is no plane."""
     some = points[seen]
     none = np.zeros_like(seen)
     if len(some) < MIN_POINTS:
@@ -97,9 +97,10 @@ def _stage(points: F8, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def fit_sphere(points: F8) -> Sphere | None:
-    """The best sphere of points [n, 3] mm, outliers left out; None where they are not round."""
+    """Robust fit of a sphere to points [n, 3] mm; None where they are not round."""
     middle = points.mean(axis=0)
     x = points - middle
+    # start: |x|^2 = 2 c . x + r^2 - |c|^2 is linear in c and r^2 - |c|^2
     start = np.linalg.lstsq(np.column_stack([2 * x, np.ones(len(x))]), (x**2).sum(axis=1), rcond=None)[0]
     inside = float(start[3] + start[:3] @ start[:3])
     if inside <= 0:
@@ -109,6 +110,7 @@ def fit_sphere(points: F8) -> Sphere | None:
         offset = x - centre
         distance = np.linalg.norm(offset, axis=1)
         residual = distance - radius
+        # Gauss-Newton on the radial distance, with Tukey's weights
         scale = max(robust.MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-9)
         root = np.clip(1 - (residual / (TUKEY * scale)) ** 2, 0, None)
         design = np.column_stack([-offset / distance[:, None], -np.ones(len(x))])

@@ -1,4 +1,4 @@
-"""Owns the verdict on a calibration: figures, their limits from rig.toml, and whether each is within."""
+"""Verdict on a calibration: measured figures against their limits in rig.toml."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .spheres import Sphere
 
 
 @dataclass(frozen=True)
-class Figure:
-    """One figure and its limit."""
+class CheckedFigure:
+    """A measured figure and its limit."""
 
     name: str
     value: float
@@ -25,43 +25,45 @@ class Figure:
 
     @property
     def ok(self) -> bool:
-        """Within the limit."""
+        """True if within the limit."""
         return abs(self.value) <= self.limit
 
-    def words(self) -> str:
-        """For people."""
+    def text(self) -> str:
+        """The figure, its limit and the verdict."""
         verdict = "passed" if self.ok else "FAILED"
         return f"{self.name} {self.value:+.3f} {self.unit} (limit {self.limit:g}): {verdict}"
 
 
-def of_surface(result: CheckResult, limits: CheckConfig) -> list[Figure]:
-    """Of a board or a flat."""
+def surface_figures(result: CheckResult, limits: CheckConfig) -> list[CheckedFigure]:
+    """Figures of a board or a flat."""
     figures = [
-        Figure("flatness error", result.flatness_error_um, limits.flatness_um, "um"),
-        Figure("flatness error, 95 % of the points", result.flatness_range_um, limits.flatness_um, "um"),
+        CheckedFigure("flatness error", result.flatness_error_um, limits.flatness_um, "um"),
+        CheckedFigure("flatness error, 95 % of the points", result.flatness_range_um, limits.flatness_um, "um"),
     ]
     if result.offset_um is not None:
-        figures.append(Figure("offset from the board's pose", result.offset_um, limits.offset_um, "um"))
+        figures.append(CheckedFigure("offset from the board's pose", result.offset_um, limits.offset_um, "um"))
     if result.scale is not None:
-        figures.append(Figure("scale against the board's squares", result.scale.percent, limits.scale_percent, "%"))
+        figures.append(
+            CheckedFigure("scale against the board's squares", result.scale.percent, limits.scale_percent, "%")
+        )
     return figures
 
 
-def of_repeat(result: Repeatability, limits: CheckConfig) -> list[Figure]:
-    """Of two sweeps over the same thing."""
+def repeatability_figures(result: Repeatability, limits: CheckConfig) -> list[CheckedFigure]:
+    """Figures of two sweeps over the same object."""
     return [
-        Figure("shift between the sweeps", result.shift_um, limits.repeatability_um, "um"),
-        Figure("repeatability of a point (standard deviation)", result.sd_um, limits.repeatability_um, "um"),
+        CheckedFigure("shift between the sweeps", result.shift_um, limits.repeatability_um, "um"),
+        CheckedFigure("repeatability of a point (standard deviation)", result.sd_um, limits.repeatability_um, "um"),
     ]
 
 
-def of_spheres(
+def sphere_figures(
     spheres: Sequence[Sphere], diameters_mm: Sequence[float], spacing_mm: float | None, limits: CheckConfig
-) -> list[Figure]:
-    """Of one sphere or two; their diameters in the order of size of what is seen of them.
+) -> list[CheckedFigure]:
+    """Figures of one sphere or two with known diameters.
 
     Raises:
-        CalibrationError: other spheres than given.
+        CalibrationError: fewer spheres were found than given.
     """
     if len(spheres) < len(diameters_mm):
         raise CalibrationError(
@@ -73,12 +75,12 @@ def of_spheres(
         left.remove(own)
         chosen.append(own)
         name = f"sphere of {diameter:g} mm"
-        figures.append(Figure(f"{name}: probing error, form", own.form_um, limits.probing_form_um, "um"))
+        figures.append(CheckedFigure(f"{name}: probing error, form", own.form_um, limits.probing_form_um, "um"))
         size = 1000 * (own.diameter_mm - diameter)
-        figures.append(Figure(f"{name}: probing error, size", size, limits.probing_size_um, "um"))
+        figures.append(CheckedFigure(f"{name}: probing error, size", size, limits.probing_size_um, "um"))
     if spacing_mm is not None:
         if len(chosen) != 2:
             raise CalibrationError("the distance of two spheres needs two: give --sphere-mm twice")
         error = 1000 * (float(np.linalg.norm(chosen[0].centre - chosen[1].centre)) - spacing_mm)
-        figures.append(Figure("sphere-spacing error", error, limits.sphere_spacing_um, "um"))
+        figures.append(CheckedFigure("sphere-spacing error", error, limits.sphere_spacing_um, "um"))
     return figures

@@ -1,1 +1,1 @@
-"""The light plane from sweeps."""
+"""Calibration method: the light plane from sweeps over boards in several poses."""

@@ -1,4 +1,4 @@
-"""Owns how two light planes differ: in direction, in speed, and in the points that they give over the volume."""
+"""Difference of two light planes: direction, speed, and the points that they give over the volume."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from process.cloud.triangulation import rays
 F8 = NDArray[np.float64]
 HEIGHTS_MM = (0.0, 0.5, 1.0)
 PLACES = 5
-"""Across and down the picture."""
+"""Number of places compared, across and down the picture."""
 
 
 @dataclass(frozen=True)
-class Difference:
-    """The second plane against the first."""
+class PlaneDifference:
+    """The second light plane against the first."""
 
     angle_deg: float
     speed_percent: float
     """Along the normal, per unit of t."""
     heights_mm: tuple[float, ...]
     along_ray_um: F8
-    """[heights, PLACES, PLACES]: by how much points move towards the camera, per place of the picture."""
+    """[heights, PLACES, PLACES]: displacement of points towards the camera, at places of the picture."""
 
-    def words(self, first: str, second: str) -> list[str]:
-        """For people."""
+    def lines(self, first: str, second: str) -> list[str]:
+        """The difference as lines of text, with the names of both planes."""
         lines = [
             f"{second} against {first}: normals differ by {self.angle_deg:.4f} degrees, speeds along them by "
             f"{self.speed_percent:+.4f} %"
@@ -45,7 +45,7 @@ class Difference:
         return lines
 
 
-def difference(first: TranslatingPlane, second: TranslatingPlane, camera: CameraModel) -> Difference:
+def difference(first: TranslatingPlane, second: TranslatingPlane, camera: CameraModel) -> PlaneDifference:
     """How the second plane differs from the first.
 
     Raises:
@@ -65,7 +65,7 @@ def difference(first: TranslatingPlane, second: TranslatingPlane, camera: Camera
         moved = (b2 + s2 * t - view.centre_mm @ n2) / (view.directions @ n2)
         found.append(((at - moved) * length * 1000).reshape(PLACES, PLACES))
     angle = float(np.degrees(np.arccos(min(abs(float(n1 @ n2)), 1.0))))
-    return Difference(angle, 100 * (abs(s2 / s1) - 1), HEIGHTS_MM, np.array(found))
+    return PlaneDifference(angle, 100 * (abs(s2 / s1) - 1), HEIGHTS_MM, np.array(found))
 
 
 def _plane(plane: TranslatingPlane) -> tuple[F8, float, float]:

@@ -1,7 +1,7 @@
-"""Owns what a sweep says of one surface: when the light passes three of its places, robustly, with the covariance.
+"""When the light passes three places of a surface: robust fit over all its pixels, with covariance.
 
-On a plane t is affine in the place, whatever the plane's pose; so flyers are told without knowing it well, and a
-hundred thousand pixels become three numbers.
+On a plane t is affine in the place, whatever the pose of the plane. So outliers are found without knowing the pose
+well, and a hundred thousand pixels reduce to three values of t.
 """
 
 from __future__ import annotations
@@ -20,51 +20,51 @@ from .surfaces import Surface, meet
 
 F8 = NDArray[np.float64]
 FLOOR_FRAMES = 0.02
-"""Added to every pixel's sigma: what the noise model does not know."""
+"""Added to each pixel's sigma in squares: errors beyond the noise model."""
 PATCHES_ACROSS = 16
-"""Pixels within a sixteenth of the picture's width are taken to err together,"""
+"""Pixels within a sixteenth of the picture's width are taken to have a common error,"""
 PATCHES_ON_SURFACE = 8
-"""or within an eighth of the surface, where that is less."""
+"""or within an eighth of the surface, if that is less."""
 COMMON_FLOOR_FRAMES = 0.005
-"""Least error of a whole surface's t: what its pixels have in common does not average out."""
+"""Least standard deviation of t on a surface: an error that all its pixels share does not average out."""
 _TRIANGLE = np.array([[0.0, -1.0], [-0.866, 0.5], [0.866, 0.5]])
 
 
 @dataclass(frozen=True)
-class LightOn:
-    """The light on one surface."""
+class LightPassage:
+    """Times at which the light passes a surface."""
 
     places: F8
     """[3, 2] px: a triangle in the middle of the surface."""
     t: F8
-    """[3] when the light passes there."""
+    """[3] sweep coordinate at which the light passes there."""
     covariance: F8
-    """[3, 3] of these."""
+    """[3, 3] covariance of t."""
     weight: F8
-    """[n] 0..1 of the surface's pixels; 0 is a flyer."""
+    """[n] 0..1 of the surface's pixels; 0 is an outlier."""
 
 
-def light_on(surface: Surface, camera: CameraModel) -> LightOn:
-    """The light on a surface whose pose is known roughly.
+def light_passage(surface: Surface, camera: CameraModel) -> LightPassage:
+    """Fit the times at which the light passes a surface whose pose is known roughly.
 
     Raises:
         CalibrationError: the surface's pixels lie on a line.
     """
-    on_plane = _Frame(surface, camera)
+    on_plane = _SurfaceCoordinates(surface, camera)
     solution = robust.solve(on_plane.rows, crossings(surface), sigmas(surface))
-    return on_plane.seen(solution.x, solution.weight)
+    return on_plane.passage(solution.x, solution.weight)
 
 
-def light_again(before: LightOn, surface: Surface, camera: CameraModel) -> LightOn:
-    """The same for a pose that is known better now; flyers stay flyers."""
-    on_plane = _Frame(surface, camera)
+def light_passage_again(before: LightPassage, surface: Surface, camera: CameraModel) -> LightPassage:
+    """Repeat the fit for a better known pose, with the same outliers."""
+    on_plane = _SurfaceCoordinates(surface, camera)
     root = np.sqrt(before.weight) / sigmas(surface)
     x = np.linalg.lstsq(on_plane.rows * root[:, None], crossings(surface) * root, rcond=None)[0]
-    return on_plane.seen(np.asarray(x, dtype=np.float64), before.weight)
+    return on_plane.passage(np.asarray(x, dtype=np.float64), before.weight)
 
 
 def crossings(surface: Surface) -> F8:
-    """t [n] of the surface's pixels."""
+    """Sweep coordinate t [n] of the surface's pixels."""
     return np.asarray(surface.sweep.t.ravel()[surface.pixels], dtype=np.float64)
 
 
@@ -75,8 +75,8 @@ def sigmas(surface: Surface) -> F8:
     return np.where(np.isfinite(sigma), sigma, np.nanmax(sigma))
 
 
-class _Frame:
-    """Coordinates on a surface's plane, about the middle of its pixels, of the order of 1."""
+class _SurfaceCoordinates:
+    """Coordinates on a surface's plane, about the middle of its pixels, scaled to the order of 1."""
 
     def __init__(self, surface: Surface, camera: CameraModel) -> None:
         points = meet(rays(camera), surface.point, surface.normal, surface.pixels)
@@ -88,18 +88,18 @@ class _Frame:
         self.rows = self._at(points)
 
     def _at(self, points: F8) -> F8:
-        """[n, 3] of points [n, 3]: two coordinates and 1."""
+        """Two coordinates and 1, [n, 3], of points [n, 3]."""
         return np.column_stack([(points - self._middle) @ self._axes.T, np.ones(len(points))])
 
-    def seen(self, x: F8, weight: F8) -> LightOn:
-        """The light at three places, of t = rows @ x."""
+    def passage(self, x: F8, weight: F8) -> LightPassage:
+        """Times at three places, of t = rows @ x, with their covariance."""
         surface = self._surface
         residual, weights = crossings(surface) - self.rows @ x, weight / sigmas(surface) ** 2
         covariance = clustered(self.rows, residual, weights, patches(surface))
         places = _triangle(surface)
         there = self._at(meet(rays(self._camera, places), surface.point, surface.normal, None))
         floor = (COMMON_FLOOR_FRAMES * abs(surface.sweep.unit_per_frame)) ** 2 * np.eye(3)
-        return LightOn(places, there @ x, there @ covariance @ there.T + floor, weight)
+        return LightPassage(places, there @ x, there @ covariance @ there.T + floor, weight)
 
 
 def _triangle(surface: Surface) -> F8:
@@ -109,7 +109,7 @@ def _triangle(surface: Surface) -> F8:
 
 
 def patches(surface: Surface) -> NDArray[np.intp]:
-    """Number of the patch [n] of each pixel."""
+    """Number of the patch that each pixel belongs to, [n]."""
     width = surface.sweep.crossing.shape[1]
     row, column = np.divmod(surface.pixels, width)
     extent = min(int(np.ptp(row)), int(np.ptp(column))) + 1
@@ -118,13 +118,13 @@ def patches(surface: Surface) -> NDArray[np.intp]:
 
 
 def clustered(design: F8, residual: F8, weight: F8, group: NDArray[np.intp]) -> F8:
-    """Covariance of weighted least squares whose errors are alike within groups: bread, meat, bread.
+    """Covariance [k, k] of weighted least squares with common errors within groups (cluster-robust sandwich estimator).
 
     Args:
         design: [n, k].
         residual: [n].
         weight: [n], of the squares.
-        group: [n], which rows err together.
+        group: [n], number of each row's group.
     """
     unit = np.sqrt((design**2).mean(axis=0))
     rows = design / unit

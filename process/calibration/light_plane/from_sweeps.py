@@ -1,8 +1,9 @@
-"""Owns the light plane from sweeps over known surfaces: t = a . X + b that explains all of them, and what it is worth.
+"""The light plane from sweeps over known surfaces: t = a . X + b for all of them, and its uncertainty.
 
-The crossing coordinate of a plane that only translates is affine in the point (docs/design.md, section 5):
-n = a / |a|, and the plane moves 1 / |a| along n per unit of t. What lies within the plane cannot be seen, and does not
-matter for points.
+For a plane that only translates, the crossing coordinate t is affine in the point X (docs/design.md, section 5): the
+normal is n = a / |a|, and the plane moves 1 / |a| along n per unit of t. This replaces equations 5 to 10 and 15 of the
+paper: nothing is clicked, and the residuals show how good it is. A velocity within the plane cannot be seen, and does
+not matter for points. Lengths in mm, t in um of travel or frames.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ MIN_THICKNESS_SHARE = 0.04
 """or, where that is less, this share of their spread within it: small boards are told apart by less."""
 MIN_RAY_ANGLE_DEG = 5.0
 GOOD_UM = 10.0
-"""A predicted error beyond this calls for more."""
+"""Predicted error of a point beyond which more sweeps are advised."""
 SMALL_SHARE = 0.5
-"""Boards that cover less of the picture have the predicted error said beside them."""
+"""Share of the picture: where the boards cover less, a note gives the predicted error."""
 CAMERA = 15
 LIGHT = slice(15, 19)
-"""Where intrinsics and stage, and (a, b), lie in the joint covariance."""
+"""Elements of the joint covariance: the first 15 for intrinsics and stage, then (a, b)."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class PlaneResult:
     sweep: FoldedSweep
     notes: tuple[str, ...]
     camera: CameraModel
-    """As the sweeps have it: these show the board too, and tie its poses to each other."""
+    """Refined by the sweeps: these show the board too, and tie its poses to each other."""
     camera_covariance: F8
     """[15, 15] of its intrinsics and the world's pose; zero where the camera was taken as exact."""
     predicted_um: tuple[float, ...]
@@ -83,7 +84,7 @@ class PlaneResult:
         return float(np.sqrt(self.normal @ self.spread.total[:3, :3] @ self.normal)) * self.speed_mm
 
     def normal_sd_deg_of(self, covariance: F8) -> float:
-        """The same of one source's covariance [4, 4]."""
+        """The same from the covariance [4, 4] of one source."""
         across = np.eye(3) - np.outer(self.normal, self.normal)
         tilt = across @ covariance[:3, :3] @ across * self.speed_mm**2
         return float(np.degrees(np.sqrt(max(float(np.linalg.eigvalsh(tilt).max()), 0.0))))
@@ -100,7 +101,7 @@ class PlaneResult:
         return all(surface.ok for surface in self.surfaces)
 
     def validity(self, days: float) -> dict[str, Any]:
-        """The ``valid_for`` object: the sweep that it was made with, and for how long it is meant."""
+        """The ``valid_for`` object of calibration.json: the plan of the sweeps, and the days it is meant to be used."""
         plan = self.sweep.plan
         made: dict[str, Any] = {"created_utc": utc_now(), "days": days}
         if self.sweep.zero_id:
@@ -113,6 +114,31 @@ class PlaneResult:
             "direction": plan.direction,
             "mode": plan.mode,
         }
+
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
+        lines = [
+            f"{s.name}: {s.pixels} pixels, mean residual {s.mean_um:+.2f} um, RMS {s.rms_um:.2f} um, "
+            f"trend {s.slope_um:.2f} um, bend {s.bend_um:.2f} um, {100 * s.outlier_share:.0f} % left out"
+            + ("" if s.height_mm is None else f", height {s.height_mm:.4f} mm")
+            + ("" if s.board_shift is None else f", {s.board_shift.um:.2f} um from where its corners alone put it")
+            + (f": {s.cause}" if s.cause else "")
+            for s in self.surfaces
+        ]
+        n = self.normal
+        unit = "um of travel" if self.parameter == "position_um" else "frame"
+        lines.append(
+            f"normal ({n[0]:.5f}, {n[1]:.5f}, {n[2]:.5f}) +- {self.normal_sd_deg:.4f} degrees, "
+            f"{1000 * self.speed_mm:.5f} um along it per {unit} +- {100 * self.speed_sd:.4f} %"
+        )
+        parts = ", ".join(f"{name} {value:.4f}" for name, value in self.normal_sd_parts_deg.items())
+        lines.append(f"the normal's standard deviation by source, degrees: {parts}")
+        lines.append(
+            f"predicted error of a point at the corners of the field: {self.predicted_um[0]:.2g} um on the stage, "
+            f"{self.predicted_um[1]:.2g} um half a millimetre above (standard deviations, all together)"
+        )
+        lines.append("commanded speed: not determinable, sweeps show the motion along the normal only")
+        return lines + [f"note: {note}" for note in self.notes]
 
     def document(self) -> dict[str, Any]:
         """The ``light_plane`` object of calibration.json."""
@@ -138,8 +164,8 @@ class PlaneResult:
                     {
                         "name": s.name, "pixels": s.pixels, "outlier_share": s.outlier_share, "mean_um": s.mean_um,
                         "rms_um": s.rms_um, "slope_um": s.slope_um, "bend_um": s.bend_um, "height_mm": s.height_mm,
-                        "moved_um": None if s.moved is None else s.moved.um,
-                        "moved_chi2": None if s.moved is None else s.moved.chi2,
+                        "moved_um": None if s.board_shift is None else s.board_shift.um,
+                        "moved_chi2": None if s.board_shift is None else s.board_shift.chi2,
                         "ok": s.ok, "cause": s.cause,
                     }
                     for s in self.surfaces
@@ -152,7 +178,7 @@ class PlaneResult:
 def fit_plane(
     surfaces: Sequence[Surface], camera: CameraModel, *, edge: str, method: str, known_camera: F8 | None = None
 ) -> PlaneResult:
-    """The light plane that explains the crossings on all surfaces.
+    """Fit the light plane to the crossings on all surfaces.
 
     Args:
         surfaces: at least two that are not in one plane.
@@ -175,7 +201,7 @@ def fit_plane(
         meet(view, surface.point + height * surface.normal, surface.normal, surface.pixels)
         for surface, height in zip(joint.surfaces, joint.heights, strict=True)
     ]
-    results = surface_results(joint.surfaces, points, joint.heights, a, b, joint.moved)
+    results = surface_results(joint.surfaces, points, joint.heights, a, b, joint.shifts)
     parts = (joint.covariance(name)[LIGHT, LIGHT] for name in ("pixels", "poses", "camera"))
     values = joint.camera_and_light_of(joint.state)
     predicted = predicted_um(values, joint.covariance(), (camera.width, camera.height))
@@ -217,8 +243,8 @@ def _notes(joint: Joint, predicted: tuple[float, ...]) -> tuple[str, ...]:
         notes.append("the stage was homed between the sweeps: they count from different zeros, take them in one go")
     if joint.problem.known_camera is None:
         notes.append("the camera's file does not say how uncertain it is: the standard deviations leave it out")
-    if joint.problem.lying:
-        names = ", ".join(surfaces[index].sweep.name for index in joint.problem.lying)
+    if joint.problem.flat_boards:
+        names = ", ".join(surfaces[index].sweep.name for index in joint.problem.flat_boards)
         notes.append(f"{names} lies flat on the stage as far as its corners tell: z = 0 is its pattern as well")
     if joint.contradicts:
         notes.append(
@@ -229,24 +255,24 @@ def _notes(joint: Joint, predicted: tuple[float, ...]) -> tuple[str, ...]:
 
 
 def _small_notes(joint: Joint, predicted: tuple[float, ...]) -> list[str]:
-    """What boards that cover little of the field are worth, and what would be better."""
-    widest, words = max(_share(surface) for surface in joint.problem.surfaces), []
+    """Notes on boards that cover little of the field, and on which sweeps would help."""
+    widest, notes = max(_share(surface) for surface in joint.problem.surfaces), []
     if widest < SMALL_SHARE:
-        words.append(
+        notes.append(
             f"the boards cover {100 * widest:.0f} % of the field at most: predicted error of a point at the corners of "
             f"the field {predicted[0]:.1f} um on the stage, {predicted[1]:.1f} um half a millimetre above"
         )
     if max(predicted) > GOOD_UM and not joint.contradicts:
-        lying = joint.problem.lying or joint.problem.flats
-        missing = "tilted by 20 degrees in other directions" if lying else "lying flat on the stage"
-        words.append(
+        flat_boards = joint.problem.flat_boards or joint.problem.flats
+        missing = "tilted by 20 degrees in other directions" if flat_boards else "lying flat on the stage"
+        notes.append(
             f"more than {GOOD_UM:g} um are predicted: add sweeps over the board {missing}, or take a larger one"
         )
-    return words
+    return notes
 
 
 def _share(surface: Surface) -> float:
-    """Of the picture, within which the surface's pixels lie."""
+    """Share of the picture that the surface's pixels span."""
     height, width = surface.sweep.crossing.shape
     row, column = np.divmod(surface.pixels, width)
     return float((np.ptp(row) + 1) * (np.ptp(column) + 1)) / (height * width)

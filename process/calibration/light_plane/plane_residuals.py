@@ -1,4 +1,7 @@
-"""Owns how sweeps agree with a light plane: residual of each surface, its trend over the field, the probable cause."""
+"""Residuals of sweeps against a light plane: mean, scatter and trend on each surface, and the probable cause.
+
+Residuals are um along the light plane's normal: (t - a . X - b) / |a|.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import robust
-from .joint import Moved
+from .joint import BoardShift
 from .surfaces import Surface
 
 F8 = NDArray[np.float64]
 LIMIT_UM = 1.0
 """A surface whose mean residual is larger contradicts the others."""
 MOVED_CHI2 = 30.0
-"""Chi squared, of six, beyond which the light moved a board by more than its corners' noise allows."""
+"""Chi squared (6 degrees of freedom) beyond which the light moved a board by more than the noise of its corners."""
 BEND_LIMIT_UM = 3.0
-"""A residual that is bent by more over the field shows something that is not flat or not straight."""
+"""Curved trend over the field beyond which something is not flat or not straight."""
 
 
 @dataclass(frozen=True)
 class SurfaceResult:
-    """How one surface agrees with the plane."""
+    """Residuals of one surface."""
 
     name: str
     pixels: int
@@ -31,7 +34,7 @@ class SurfaceResult:
     mean_um: float
     """Mean residual along the light plane's normal."""
     rms_um: float
-    """Of the pixels that are not outliers."""
+    """Root mean square of the pixels that are not outliers."""
     slope_um: float
     """Greatest linear trend of the residual over the field, end to end."""
     bend_um: float
@@ -42,27 +45,26 @@ class SurfaceResult:
     cause: str
     map_um: F8
     """[h, w] residual; NaN where not used."""
-    moved: Moved | None = None
-    """By how much light and other boards moved this one from where its own corners put it; None for flats."""
+    board_shift: BoardShift | None = None
+    """Displacement by light and other boards from the pose of its own corners; None for flats."""
 
 
 def surface_results(
-    surfaces: Sequence[Surface], points: Sequence[F8], heights: F8, a: F8, b: float, moved: Sequence[Moved | None]
+    surfaces: Sequence[Surface], points: Sequence[F8], heights: F8, a: F8, b: float, shifts: Sequence[BoardShift | None]
 ) -> tuple[SurfaceResult, ...]:
-    """How each surface agrees with t = a . X + b; ``points`` [n, 3] and ``heights`` (of flats) in mm, one each."""
+    """Residuals of each surface against t = a . X + b; ``points`` [n, 3] and ``heights`` (of flats) in mm, one each."""
     found = []
-    for surface, x, height, away in zip(surfaces, points, heights, moved, strict=True):
+    for surface, x, height, away in zip(surfaces, points, heights, shifts, strict=True):
         shape = surface.sweep.crossing.shape
         residual = (surface.sweep.t.ravel()[surface.pixels] - x @ a - b) / float(np.linalg.norm(a)) * 1000
-        middle = float(np.median(residual))
-        scale = robust.MAD_TO_SIGMA * float(np.median(np.abs(residual - middle)))
+        middle, scale = robust.median_and_scale(residual)
         near = np.abs(residual - middle) <= 4 * max(scale, 1e-9)
         whole = np.full(shape[0] * shape[1], np.nan)
         whole[surface.pixels[near]] = residual[near]
         slope, bend = _trend(surface.pixels[near], residual[near], shape)
         mean = float(residual[near].mean())
         rms = float(np.sqrt((residual[near] ** 2).mean()))
-        ok = abs(mean) <= LIMIT_UM and bend <= BEND_LIMIT_UM and not _torn(away)
+        ok = abs(mean) <= LIMIT_UM and bend <= BEND_LIMIT_UM and not _contradicts_corners(away)
         result = SurfaceResult(
             surface.sweep.name, int(near.sum()), float(1 - near.mean()), mean, rms,
             slope, bend, float(height) if surface.free_height else None, ok, "",
@@ -72,13 +74,13 @@ def surface_results(
     return tuple(found)
 
 
-def _torn(moved: Moved | None) -> bool:
-    """The light contradicts the board's corners, and by enough to matter."""
-    return moved is not None and moved.chi2 > MOVED_CHI2 and moved.um > LIMIT_UM
+def _contradicts_corners(shift: BoardShift | None) -> bool:
+    """True if the light contradicts the corners of a board, by an amount that matters."""
+    return shift is not None and shift.chi2 > MOVED_CHI2 and shift.um > LIMIT_UM
 
 
 def _trend(pixels: NDArray[np.intp], residual: F8, shape: tuple[int, ...]) -> tuple[float, float]:
-    """Linear and curved trend of the residual over the field: greatest minus least in um."""
+    """Linear and curved trend of the residual over the field, greatest minus least, in um."""
     y, x = np.divmod(pixels, shape[1])
     u, v = 2 * x / (shape[1] - 1) - 1, 2 * y / (shape[0] - 1) - 1
     linear = np.column_stack([u, v])
@@ -90,17 +92,17 @@ def _trend(pixels: NDArray[np.intp], residual: F8, shape: tuple[int, ...]) -> tu
 
 
 def _cause(result: SurfaceResult) -> str:
-    """The probable cause of what the residual shows, in words; empty where nothing is wrong."""
+    """Probable cause of a wrong residual as text; empty where nothing is wrong."""
     if result.bend_um > BEND_LIMIT_UM:
         return (
             f"its residual is bent by {result.bend_um:.1f} um: the surface is not flat, the stage not straight, or the "
             "lens distorts otherwise than calibrated"
         )
-    if result.moved is not None and _torn(result.moved):
+    if result.board_shift is not None and _contradicts_corners(result.board_shift):
         return (
-            f"light and the others put it {result.moved.um:.1f} um from where its corners do, {result.moved.chi2:.0f} "
-            "variances (six would be chance): the board moved, the stage was homed or lost steps, or its squares are "
-            "uneven or too coarsely seen"
+            f"light and the others put it {result.board_shift.um:.1f} um from where its corners do, "
+            f"{result.board_shift.chi2:.0f} variances (six would be chance): the board moved, the stage was homed or "
+            "lost steps, or its squares are uneven or too coarsely seen"
         )
     if result.slope_um > 4 * LIMIT_UM:
         return (

@@ -1,4 +1,4 @@
-"""Owns how a light plane is made from sweeps, so that it can be made again with another estimate of the crossings."""
+"""The recipe of a light plane: which sweeps it was made from, so that it can be made again with another estimate."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from .uncertainty import camera_covariance
 
 Progress = Callable[[str], None]
 BEFORE = "before_sweeps"
-"""Key of the camera as its own views have it."""
+"""Key in calibration.json of the camera as its own views give it."""
 REFINED = ("K", "distortion", "R", "T")
-"""What sweeps over boards tell of a camera beside its own views."""
+"""Parts of the camera that sweeps over boards refine."""
 
 
 class SweepRecipe(msgspec.Struct, frozen=True):
-    """What a light plane was made of; kept in calibration.json."""
+    """Sweeps and options of a light plane; kept in calibration.json."""
 
     scans: tuple[str, ...]
     """Absolute paths of the sweeps over the board."""
@@ -42,12 +42,12 @@ class SweepRecipe(msgspec.Struct, frozen=True):
 
     @property
     def board(self) -> Board:
-        """The board in ``scans``."""
+        """The board seen in ``scans``."""
         return Board(self.columns, self.rows, self.square_mm)
 
 
 @dataclass(frozen=True)
-class Refit:
+class RefittedPlane:
     """A light plane made again."""
 
     document: dict[str, Any]
@@ -57,12 +57,12 @@ class Refit:
 def make_plane(
     recipe: SweepRecipe, document: dict[str, Any], method: str, progress: Progress | None = None
 ) -> PlaneResult:
-    """The light plane of the recipe's sweeps, with the camera of ``document``.
+    """Make the light plane from the recipe's sweeps, with the camera of ``document``.
 
     Raises:
         CalibrationError, ScanFileError: as ``fold_sweep``, ``board_surface`` and ``fit_plane``.
     """
-    document = as_before(document)
+    document = with_original_camera(document)
     camera = parse_calibration(msgspec.json.encode(document).decode()).camera
     surfaces: list[Surface] = []
     for number, scan in enumerate((*recipe.scans, *recipe.flats)):
@@ -85,8 +85,8 @@ def _same_size(sweep: FoldedSweep, camera: CameraModel) -> None:
 
 
 def with_plane(document: dict[str, Any], result: PlaneResult, recipe: SweepRecipe, days: float) -> dict[str, Any]:
-    """The calibration with this light plane, what it was made of, and the camera as its sweeps have it."""
-    document, plane = as_before(document), result.document()
+    """The calibration with this light plane, its recipe, and the camera as its sweeps refined it."""
+    document, plane = with_original_camera(document), result.document()
     plane["quality"]["recipe"] = msgspec.to_builtins(recipe)
     made = {**document, "light_plane": plane, "valid_for": result.validity(days)}
     if camera_covariance(document) is None:
@@ -98,14 +98,14 @@ def with_plane(document: dict[str, Any], result: PlaneResult, recipe: SweepRecip
     return {**made, "camera": camera}
 
 
-def as_before(document: dict[str, Any]) -> dict[str, Any]:
-    """With the camera as it was before a light plane's sweeps had their say in it: they must not have it twice."""
+def with_original_camera(document: dict[str, Any]) -> dict[str, Any]:
+    """The calibration with the camera as its own views give it: sweeps must not refine it twice."""
     before = document.get("camera", {}).get(BEFORE)
     return document if not isinstance(before, dict) else {**document, "camera": before}
 
 
 def recipe_in(document: dict[str, Any]) -> SweepRecipe | None:
-    """What the light plane of a calibration was made of; None where it does not say."""
+    """Recipe of the light plane of a calibration; None where it has none."""
     quality = (document.get("light_plane") or {}).get("quality") or {}
     try:
         return msgspec.convert(quality["recipe"], SweepRecipe)
@@ -113,10 +113,10 @@ def recipe_in(document: dict[str, Any]) -> SweepRecipe | None:
         return None
 
 
-def refit(document: dict[str, Any], method: str, progress: Progress | None = None) -> Refit:
-    """The same calibration with its light plane made again from its own sweeps, with another estimate.
+def refit_plane(document: dict[str, Any], method: str, progress: Progress | None = None) -> RefittedPlane:
+    """The calibration with its light plane made again from its own sweeps, with another estimate.
 
-    What a ``rezero`` has moved since is moved again: the shift is kept beside the recipe.
+    A shift by ``rezero`` since then is applied again: it is kept beside the recipe.
 
     Raises:
         CalibrationError: it was not made from sweeps, they are gone, or they contradict each other now.
@@ -134,11 +134,11 @@ def refit(document: dict[str, Any], method: str, progress: Progress | None = Non
     made = with_plane(document, result, recipe, 0.0)
     made["valid_for"] = document.get("valid_for")
     shift_t = float((document["light_plane"].get("quality") or {}).get("rezeroed_t") or 0.0)
-    return Refit(rezeroed(made, shift_t) if shift_t else made, result)
+    return RefittedPlane(rezeroed(made, shift_t) if shift_t else made, result)
 
 
 def rezeroed(document: dict[str, Any], shift_t: float) -> dict[str, Any]:
-    """The calibration with its light plane moved so that it comes ``shift_t`` later; everything else as it was."""
+    """The calibration with its light plane moved so that it passes ``shift_t`` later."""
     plane = dict(document["light_plane"])
     quality = dict(plane.get("quality") or {})
     quality["rezeroed_t"] = float(quality.get("rezeroed_t") or 0.0) + shift_t

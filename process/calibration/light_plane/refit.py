@@ -1,4 +1,4 @@
-"""Owns that points and light plane are made with one estimate: another is fitted from the plane's own sweeps."""
+"""One estimate for points and light plane: the plane is made again from its own sweeps where they differ."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from acquire.contract.scan_data.file_layout import ScanLayout, read_layout
 from process.calibration.calibration_file import write_document
 from process.results.settings import ReconstructOptions, recorded_in, settle
 
-from .recipe import recipe_in, refit
+from .recipe import recipe_in, refit_plane
 
 NAME = "calibration-{method}.json"
 
 
-def matching(
+def with_matching_plane(
     scan: Path, options: ReconstructOptions, say: Callable[[str], None] = lambda _: None
 ) -> ReconstructOptions:
-    """``options`` with a calibration whose light plane was made with the estimate that the points will be made with.
+    """``options`` with a calibration whose light plane was made with the estimate of the points.
 
-    Where the recorded or named calibration was made with another estimate and its sweeps are still there, the plane
-    is made again from them and kept beside the results. Where they are gone, ``options`` is returned as it is: the
+    If the recorded or named calibration was made with another estimate and its sweeps are still there, the plane is
+    made again from them and written beside the results. If they are gone, ``options`` is returned unchanged, and the
     reconstruction warns.
 
     Args:
         scan: SCAN.
         options: as asked for.
-        say: told in words what happens.
+        say: called with messages about what happens.
 
     Raises:
         ScanFileError, CalibrationError, ConfigError: as ``reconstruct``.
@@ -52,7 +52,7 @@ def matching(
         return replace(options, calibration=target)
     say(f"the light plane was made with {plane.method}: it is made again with {settings.method} from its own sweeps")
     try:
-        made = refit(document, settings.method, say).document
+        made = refit_plane(document, settings.method, say).document
         made["light_plane"]["quality"]["refitted_from_sha256"] = source
         target.parent.mkdir(parents=True, exist_ok=True)
         write_document(target, made, force=True)
@@ -69,7 +69,7 @@ def _text(layout: ScanLayout, options: ReconstructOptions) -> str:
 
 
 def _is_of(target: Path, source: str) -> bool:
-    """Whether an earlier reconstruction made this very plane."""
+    """Whether ``target`` was made from the calibration with this digest by an earlier reconstruction."""
     if not target.is_file():
         return False
     try:

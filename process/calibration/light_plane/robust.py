@@ -1,4 +1,8 @@
-"""Owns robust linear least squares: a start that a quarter of wild values cannot move, then Tukey's weights."""
+"""Robust linear least squares: a random start that holds against 40 % of outliers, then Tukey's weights.
+
+The start is that of least median of squares: of many solutions of a few rows, the one with the least median residual.
+Then iterated least squares with Tukey's biweight, whose outliers have weight 0.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +15,27 @@ F8 = NDArray[np.float64]
 DRAWS = 400
 DRAW_ROWS = 8
 FEW = 4000
-"""Rows that judge the drawn solutions."""
+"""Rows by which the random solutions are judged."""
 TUKEY = 4.685
-"""95 % efficient for normal errors."""
+"""Cut-off of the biweight in standard deviations: 95 % efficiency for normal errors."""
 MAD_TO_SIGMA = 1.4826
+"""Standard deviation over median absolute deviation of a normal variable."""
 ROUNDS = 30
 
 
-class Solution(NamedTuple):
+def median_and_scale(values: F8) -> tuple[float, float]:
+    """Median of values [n], and their standard deviation from the median absolute deviation."""
+    middle = float(np.median(values))
+    return middle, MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
+
+
+class RobustFit(NamedTuple):
     """A robust fit of design @ x = values."""
 
     x: F8
     """[k]."""
     covariance: F8
-    """[k, k], of independent errors."""
+    """[k, k], for independent errors."""
     weight: F8
     """[n] 0..1: Tukey's; 0 is an outlier."""
     scale: float
@@ -33,10 +44,10 @@ class Solution(NamedTuple):
 
 def solve(
     design: F8, values: F8, sigma: F8 | None = None, seed: int = 0, start: F8 | None = None, rounds: int = ROUNDS
-) -> Solution:
-    """Robust x of design [n, k] @ x = values [n]; ``sigma`` [n] are relative standard deviations of the values.
+) -> RobustFit:
+    """Solve design [n, k] @ x = values [n] robustly; ``sigma`` [n]: relative standard deviations of the values.
 
-    With ``start`` [k], near the solution, nothing is drawn: quicker, and no defence against many wild values.
+    With ``start`` [k], near the solution, no random start is made: quicker, but no defence against many outliers.
     """
     prior = np.ones(len(values)) if sigma is None else 1.0 / sigma
     rows, right = design * prior[:, None], values * prior
@@ -58,11 +69,11 @@ def solve(
     inner = rows.T @ (rows * weight[:, None])
     variance = float((weight * residual**2).sum() / max(weight.sum() - len(x), 1))
     covariance = variance * np.linalg.pinv(inner) / np.outer(unit, unit)
-    return Solution(x / unit, covariance, weight, scale)
+    return RobustFit(x / unit, covariance, weight, scale)
 
 
 def _start(rows: F8, right: F8, generator: np.random.Generator) -> F8:
-    """The drawn solution with the least median residual, then the best half of the rows twice."""
+    """The random solution with the least median residual, then least squares of its better half of the rows."""
     chosen = generator.permutation(len(rows))[:FEW]
     some, some_right = rows[chosen], right[chosen]
     size = min(max(DRAW_ROWS, rows.shape[1] + 1), len(some))

@@ -1,4 +1,4 @@
-"""Owns the known surfaces of calibration sweeps: a board in the pose that its corners show, or a flat of any height."""
+"""Known surfaces of calibration sweeps: a board in the pose of its corners, or a white flat of any height."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from acquire.contract.calibration import CameraModel
 from acquire.contract.errors import CalibrationError
 from process.calibration.board.detection import Board, Sighting, find_board
-from process.calibration.board.poses import Pose, find_pose
+from process.calibration.board.poses import PlanePose, find_pose
 from process.cloud.triangulation import Rays, rays
 
 from .sweeps import FoldedSweep
@@ -18,14 +18,14 @@ from .sweeps import FoldedSweep
 F8 = NDArray[np.float64]
 BLUR_WIDTHS = 3.0
 BLUR_PX = 1.0
-"""Width of the camera's own blur: pixels within three of it from a printed edge see both squares."""
+"""Width of the camera's blur in px: pixels within three of it from a printed edge see both squares."""
 MOST_OF_SQUARE = 0.35
-"""However small the squares are, so much of them on each side is left out at most."""
+"""Most of a square that is left out at each side, however small the squares are."""
 MOST_PIXELS = 120_000
-"""Per surface; more are thinned evenly."""
+"""Per surface; more are thinned out evenly."""
 MIN_PIXELS = 300
 FAR_SHARE = 0.05
-"""A board whose distance differs by this share of the camera's from that of z = 0 cannot be on this stage."""
+"""A board whose distance from the camera differs by this share from that of z = 0 cannot be on this stage."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +38,21 @@ class Surface:
     pixels: NDArray[np.intp]
     """[n] flat indices of the pixels to use."""
     free_height: bool = False
-    """A matt white flat parallel to z = 0 whose height is estimated."""
+    """True for a matt white flat parallel to z = 0, whose height is estimated."""
     sighting: Sighting | None = None
     """The board's corners; None for a flat."""
-    pose: Pose | None = None
-    """The board's, in camera coordinates; None for a flat."""
+    pose: PlanePose | None = None
+    """Pose of the board in camera coordinates; None for a flat."""
 
 
 def board_surface(sweep: FoldedSweep, board: Board, camera: CameraModel, *, alone: bool = True) -> Surface:
-    """The board in the pose that its own corners in this sweep show; pixels clear of printed edges.
+    """The board in the pose of its own corners in this sweep, and its pixels clear of printed edges.
 
     Args:
         sweep: over the board.
         board: the pattern.
         camera: with its pose in the world.
-        alone: nothing but the corners will tell its pose from the mirrored one.
+        alone: only the corners tell its pose from the mirrored one, so an ambiguous pose is refused.
 
     Raises:
         CalibrationError: board not found, its pose ambiguous, or too few clean pixels.
@@ -79,8 +79,8 @@ def board_surface(sweep: FoldedSweep, board: Board, camera: CameraModel, *, alon
     return Surface(sweep, point, rotation[:, 2], _chosen(sweep, inside & clear), sighting=sighting, pose=pose)
 
 
-def _refuse_far(name: str, pose: Pose, camera: CameraModel, board: Board) -> None:
-    """A board of another size seems nearer or further than the stage can be."""
+def _refuse_far(name: str, pose: PlanePose, camera: CameraModel, board: Board) -> None:
+    """Refuse a board that seems nearer or further than the stage: one of another size."""
     distance, wanted = float(pose.translation[2]), camera.T[2]
     if wanted > 0 and abs(distance / wanted - 1) > FAR_SHARE:
         fitting = board.pitch_mm * wanted / distance
@@ -92,7 +92,7 @@ def _refuse_far(name: str, pose: Pose, camera: CameraModel, board: Board) -> Non
 
 
 def flat_surface(sweep: FoldedSweep) -> Surface:
-    """A matt white flat parallel to z = 0, its height free."""
+    """A matt white flat parallel to z = 0 of unknown height."""
     everywhere = np.ones(sweep.crossing.size, dtype=np.bool_)
     return Surface(sweep, np.zeros(3), np.array([0.0, 0.0, 1.0]), _chosen(sweep, everywhere), free_height=True)
 
@@ -107,7 +107,7 @@ def _chosen(sweep: FoldedSweep, allowed: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def meet(view: Rays, point: F8, normal: F8, pixels: NDArray[np.intp] | None) -> F8:
-    """Where the rays of ``pixels`` (all: None) meet the plane through ``point``, [n, 3] mm."""
+    """Points [n, 3] mm where the rays of ``pixels`` (None: all) meet the plane through ``point`` (equation 4)."""
     directions = view.directions if pixels is None else view.directions[pixels]
     distance = (normal @ (point - view.centre_mm)) / (directions @ normal)
     return np.asarray(view.centre_mm + distance[:, None] * directions, dtype=np.float64)

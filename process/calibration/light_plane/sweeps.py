@@ -1,4 +1,4 @@
-"""Owns what a calibration needs of a sweep: where each pixel crossed, how surely, and a picture without light edge."""
+"""Calibration sweeps: crossing and sigma of each clean pixel, and a picture without a light edge."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from acquire.contract.errors import CalibrationError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
+from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.maps_file import read_maps
 from process.crossings.quality import Quality
 from process.results.reconstruct import reconstruct
@@ -28,7 +29,7 @@ UNUSABLE = (
     | Quality.FILTERED
 )
 MOSTLY = 0.3
-"""Share of the lit pixels with one fault that makes a sweep useless."""
+"""Share of the lit pixels with the same fault beyond which a sweep is refused."""
 MIN_PIXELS = 500
 MIN_PATTERN_CONTRAST = 40.0
 
@@ -51,7 +52,7 @@ class FoldedSweep:
     plan: SweepPlan | None
     format: FrameFormat
     zero_id: str = ""
-    """Which homing its positions count from; empty where that is not known."""
+    """Homing that its positions count from; empty where that is not known."""
 
     @property
     def t(self) -> F8:
@@ -74,7 +75,7 @@ def fold_sweep(
 
     Raises:
         ScanFileError, ConfigError: as ``reconstruct``.
-        CalibrationError: most pixels have a fault: the sweep is too short, light leaks, saturation.
+        CalibrationError: too many pixels have a fault: the sweep is too short, light leaks, saturation.
     """
     with tempfile.TemporaryDirectory(prefix="sweepscope-") as folder:
         options = ReconstructOptions(method=method, edge=edge, contrast=contrast, out=Path(folder), force=True)
@@ -84,10 +85,10 @@ def fold_sweep(
     mask, low, high = (maps[name] for name in ("mask", "min", "max"))
     with ScanFrames(scan) as frames:
         layout, positions = frames.layout, frames.field("position_um")
-    name = layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem
+    name = sweep_name(layout)
     if clean:
         _refuse_faults(name, quality[mask != 0], int((mask != 0).sum()))
-    frame_t, parameter = _coordinate(positions)
+    frame_t, parameter = coordinate_of(positions)
     if clean:
         crossing = np.where((quality & int(UNUSABLE)) == 0, crossing, np.nan)
     depth = 2.0 ** (layout.format.bit_depth - 8)
@@ -98,28 +99,34 @@ def fold_sweep(
 
 
 def sweep_coordinate(scan: Path) -> tuple[F8, str]:
-    """Sweep coordinate of each frame [frames], and its unit: positions where all are known, else 1-based numbers.
+    """Sweep coordinate of each frame [frames], and its unit; as coordinate_of.
 
     Raises:
         ScanFileError: no readable scan.
     """
     with ScanFrames(scan) as frames:
-        return _coordinate(frames.field("position_um"))
+        return coordinate_of(frames.field("position_um"))
 
 
-def _coordinate(positions: F8) -> tuple[F8, str]:
+def sweep_name(layout: ScanLayout) -> str:
+    """Name of a sweep in messages: that of its folder, or of a file that lies by itself."""
+    return layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem
+
+
+def coordinate_of(positions: F8) -> tuple[F8, str]:
+    """Sweep coordinate [frames] and its unit: positions in um where all are known, else 1-based frame numbers."""
     if np.isfinite(positions).all():
         return positions, "position_um"
     return np.arange(1, len(positions) + 1, dtype=np.float64), "frame"
 
 
 def _pattern_picture(low: NDArray[np.generic], high: NDArray[np.generic], depth: float) -> NDArray[np.generic]:
-    """The darkest picture where room light shows the pattern, else the brightest."""
+    """Minimum where room light shows the pattern in it, else maximum: neither has a light edge."""
     contrast = float(np.subtract(*np.percentile(low.astype(np.float64), [95, 5])))
     return low if contrast >= MIN_PATTERN_CONTRAST * depth else high
 
 
-_WORDS = {
+_FAULTS = {
     Quality.NO_DARK_LEVEL: "never get dark: light leaks in, or the sweep begins within the light",
     Quality.LIT_AT_START: "are lit in the first frame already: the sweep begins too late, start it further out",
     Quality.PLATEAU_NOT_REACHED: "are still within the edge in the last frame: the sweep is too short",
@@ -132,7 +139,7 @@ def _refuse_faults(name: str, quality: NDArray[np.generic], lit: int) -> None:
         raise CalibrationError(
             f"{name}: only {lit} pixels change their brightness enough: lamp off, or a sweep too short or elsewhere"
         )
-    for bit, words in _WORDS.items():
+    for bit, text in _FAULTS.items():
         share = float((quality.astype(np.int64) & int(bit) != 0).mean())
         if share > MOSTLY:
-            raise CalibrationError(f"{name}: {100 * share:.0f} % of the lit pixels {words}")
+            raise CalibrationError(f"{name}: {100 * share:.0f} % of the lit pixels {text}")

@@ -1,8 +1,9 @@
-"""Owns how uncertain a light plane and the points that it makes are: by pixels, poses of boards, and the camera."""
+"""Uncertainty of a light plane by source (pixels, poses of boards, camera), and of the points it gives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cv2
@@ -11,11 +12,11 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 
-from .joint_residuals import INTRINSICS, POSE, Seen, seen_by
+from .joint_residuals import INTRINSICS, POSE, CameraState, camera_state, central_differences
 
 F8 = NDArray[np.float64]
 HEIGHTS_MM = (0.0, 0.5)
-"""Where points are predicted: on the stage, and half a millimetre above."""
+"""Heights at which the error of points is predicted: on the stage, and half a millimetre above."""
 _STEPS = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-4, 1e-2, 1e-5, 1e-5, 1.0, 1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
 
 
@@ -35,10 +36,10 @@ class Spread:
 
 
 def camera_covariance(document: dict[str, Any]) -> F8 | None:
-    """[15, 15] of the intrinsics and the world's pose as a calibration of ours keeps it; None where it does not.
+    """Covariance [15, 15] of the intrinsics and the world's pose in a calibration; None where it has none.
 
     Raises:
-        CalibrationError: it is there, and is none.
+        CalibrationError: it is no such matrix.
     """
     values = (document.get("camera", {}).get("quality") or {}).get("covariance")
     if values is None:
@@ -56,7 +57,7 @@ def predicted_um(camera_and_light: F8, covariance: F8, size: tuple[int, int]) ->
     """Standard deviation of a point at the worst corner of the field, at each of HEIGHTS_MM.
 
     Args:
-        camera_and_light: [19] intrinsics, stage, and a, b of t = a . X + b in the world.
+        camera_and_light: [19] intrinsics, stage, and a, b of t = a . X + b, X in the world.
         covariance: [19, 19] of these.
         size: width and height of the picture.
     """
@@ -65,30 +66,26 @@ def predicted_um(camera_and_light: F8, covariance: F8, size: tuple[int, int]) ->
     found = []
     for height in HEIGHTS_MM:
         t = _at_height(camera_and_light, places, height)
-        by = []
-        for step, unit in zip(steps, np.eye(len(steps)), strict=True):
-            there, back = (_points(camera_and_light + sign * step * unit, places, t) for sign in (1, -1))
-            by.append((there - back) / (2 * step))
-        roots = np.array(by)  # [19, places, 3]
+        roots = central_differences(partial(_points, places=places, t=t), camera_and_light, steps)  # [19, places, 3]
         squares = np.einsum("ipk,ij,jpk->p", roots, covariance, roots)
         found.append(1000 * float(np.sqrt(squares.max())))
     return tuple(found)
 
 
 def _at_height(camera_and_light: F8, places: F8, height: float) -> F8:
-    """t at which the light meets each pixel's ray at this height."""
-    centre, rays = _rays(seen_by(camera_and_light[: INTRINSICS + POSE]), places)
+    """t [n] at which the light meets each pixel's ray at this height."""
+    centre, rays = _rays(camera_state(camera_and_light[: INTRINSICS + POSE]), places)
     points = centre + ((height - centre[2]) / rays[:, 2])[:, None] * rays
     return np.asarray(points @ camera_and_light[15:18] + camera_and_light[18], dtype=np.float64)
 
 
 def _points(camera_and_light: F8, places: F8, t: F8) -> F8:
-    """Where the light meets each pixel's ray at its t, [n, 3]."""
-    centre, rays = _rays(seen_by(camera_and_light[: INTRINSICS + POSE]), places)
+    """Points [n, 3] where the light at t [n] meets each pixel's ray (equations 2 and 4)."""
+    centre, rays = _rays(camera_state(camera_and_light[: INTRINSICS + POSE]), places)
     a, b = camera_and_light[15:18], camera_and_light[18]
     return np.asarray(centre + ((t - b - a @ centre) / (rays @ a))[:, None] * rays, dtype=np.float64)
 
 
-def _rays(seen: Seen, places: F8) -> tuple[F8, F8]:
-    flat = cv2.undistortPoints(places.reshape(-1, 1, 2), seen.matrix, seen.lens).reshape(-1, 2)
-    return -seen.turn.T @ seen.shift, np.column_stack([flat, np.ones(len(flat))]) @ seen.turn
+def _rays(seen: CameraState, places: F8) -> tuple[F8, F8]:
+    flat = cv2.undistortPoints(places.reshape(-1, 1, 2), seen.matrix, seen.distortion).reshape(-1, 2)
+    return -seen.rotation.T @ seen.translation, np.column_stack([flat, np.ones(len(flat))]) @ seen.rotation

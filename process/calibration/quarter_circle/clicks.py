@@ -1,4 +1,4 @@
-"""Owns points of the quarter circle that a person clicked, for sweeps in which it is not found by itself."""
+"""Light plane from points of the quarter circle clicked by hand, for sweeps in which it is not found."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXAMPLE = "corner,0,412.5,300; corner,526,...; lead_end,350,...; side_end,350,..
 
 
 class Click(msgspec.Struct, frozen=True):
-    """One point."""
+    """A clicked point."""
 
     point: Literal["corner", "lead_end", "side_end"]
     """The corner, the end of the leading straight edge, or that of the other one."""
@@ -39,7 +39,7 @@ def read_clicks(path: Path) -> list[Click]:
     """Points of a JSON file (a list of {"point", "frame", "x", "y"}) or a CSV file (point,frame,x,y).
 
     Raises:
-        CalibrationError: not there, not readable, or no such points; by name.
+        CalibrationError: the file is missing or not readable, or holds no such points.
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -66,18 +66,18 @@ def _rows(text: str) -> list[dict[str, str]]:
 def plane_from_clicks(
     clicks: list[Click], camera: CameraModel, slide: Slide, *, frame_t: F8, parameter: str, height_mm: float = 0.0
 ) -> QuarterCircle:
-    """The light plane from points by hand: the corner in two frames or more, and both ends in some frame.
+    """The light plane from clicked points: the corner in two frames or more, and both ends in some frame.
 
     Args:
         clicks: the points.
         camera: with its pose in the world.
         slide: sizes of slide and lens.
         frame_t: [frames] sweep coordinate.
-        parameter: its unit.
-        height_mm: of the flat.
+        parameter: unit of that.
+        height_mm: height of the flat.
 
     Raises:
-        CalibrationError: points that are missing or not in the sweep, or impossible geometry.
+        CalibrationError: missing points, points outside of the sweep, or impossible geometry.
     """
     beyond = [click for click in clicks if click.frame >= len(frame_t)]
     if beyond:

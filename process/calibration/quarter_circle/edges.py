@@ -1,8 +1,9 @@
-"""Owns finding the quarter circle in each frame, to sub-pixel: both straight edges, their corner, and the arc's ends.
+"""The quarter circle in a frame, to sub-pixel: both straight edges, their corner, and the ends of the arc.
 
-Within an edge the inverse normal of the relative brightness is linear in the distance from it. So each edge is a robust
-linear fit over all pixels within its blur, and the corner is where the two lines meet: the blurred corner itself is not
-looked at. Lengths are mm on the flat.
+Across an edge blurred as an erf, q = Phi^-1(relative brightness) is linear in the distance from it. So each edge is a
+robust linear fit over all pixels within its blur, and the corner c is where both lines meet; the blurred corner itself
+is not used. Lengths in mm on the flat; the leading edge ends in p2, the other straight edge in p1 of the paper's figure
+3.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from process.calibration.light_plane import robust
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 LOW, HIGH = 0.1, 0.9
-"""Relative brightness between which a pixel tells its distance from an edge."""
+"""Range of relative brightness in which a pixel tells its distance from an edge."""
 CLEAR_WIDTHS = 4.0
-"""Widths of the blur from another edge within which pixels see both."""
+"""Pixels within so many widths of the blur of another edge see both edges."""
 MIN_PIXELS = 150
 QUICK_ROUNDS = 6
 MIN_LENGTH_SHARE = 0.3
-"""Of an edge's length that has to be seen."""
+"""Least share of an edge's length that has to be in the picture."""
 GRADIENT_TERMS = 3
-"""Of the conic's gradient along the arc."""
+"""Terms of a polynomial for the conic's gradient along the arc."""
 MOST_PIXELS = 1500
 """Per edge and frame; more are thinned evenly."""
 MIN_ARC_DEG = 65.0
@@ -38,8 +39,8 @@ _PROBITS = np.array([NormalDist().inv_cdf(min(max(share, 1e-4), 1 - 1e-4)) for s
 
 
 @dataclass(frozen=True)
-class Pattern:
-    """Roughly what the quarter circle looks like on the flat, for finding it."""
+class RoughPattern:
+    """Rough shape, place and motion of the quarter circle on the flat, for finding it in a frame."""
 
     origin: F8
     """[2] corner at t = 0."""
@@ -55,13 +56,13 @@ class Pattern:
     """Standard deviation of the blur."""
 
     def corner(self, t: float) -> F8:
-        """[2] mm."""
+        """Corner at t, [2] mm."""
         return np.asarray(self.origin + t * self.velocity)
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The quarter circle in one frame, [2] mm each."""
+class FramePattern:
+    """The quarter circle in one frame; places [2] in mm on the flat."""
 
     frame_index: int
     t: float
@@ -71,14 +72,14 @@ class Seen:
     side: F8
     width_mm: float
     lead_end: F8 | None
-    """Where the leading edge meets the arc; None where the arc is not in the field."""
+    """Intersection of the leading edge and the arc; None where the arc is not in the field."""
     side_end: F8 | None
     conic: F8 | None = None
-    """[5] A to E of the arc: A u^2 + B u v + C v^2 + D u + E v = 1, u along the side, v along the leading edge."""
+    """[5] A to E of the arc A u^2 + B u v + C v^2 + D u + E v = 1, u along the side, v along the leading edge."""
 
 
-def within(places: F8, corner: F8, shape: tuple[F8, F8, F8], margin_mm: float) -> NDArray[np.bool_]:
-    """[h, w] places at least ``margin_mm`` inside a quarter circle of (lead, side, conic)."""
+def inside_quarter_circle(places: F8, corner: F8, shape: tuple[F8, F8, F8], margin_mm: float) -> NDArray[np.bool_]:
+    """[h, w] mask of places at least ``margin_mm`` inside a quarter circle (lead, side, conic)."""
     lead, side, conic = shape
     matrix = np.linalg.inv(np.column_stack([side, lead]))
     u, v = np.moveaxis((places - corner) @ matrix.T, -1, 0)
@@ -94,7 +95,7 @@ def probit(share: F4 | F8) -> F8:
 
 
 def outline(bright: F4, places: F8, ahead: F8) -> tuple[F8, F8, F8] | None:
-    """Depth behind the leading edge and both ends across it of the lit region, [bins] each; None: not there.
+    """Outline of the lit region: depth behind the leading edge and both ends across it, [bins] each; or None.
 
     Args:
         bright: [h, w] relative brightness.
@@ -133,7 +134,7 @@ def outline(bright: F4, places: F8, ahead: F8) -> tuple[F8, F8, F8] | None:
 
 
 def straight_end(depth: F8, ends: F8) -> tuple[float, float, float] | None:
-    """(v, slope, residual) of the line through the ends of the bins near the leading edge; None: too few are seen."""
+    """(v, slope, residual) of the line through the ends of the bins near the leading edge; None for too few bins."""
     near = (depth > 0.08 * depth[-1]) & (depth < 0.6 * depth[-1]) & np.isfinite(ends)
     if near.sum() < 8:
         return None
@@ -143,9 +144,9 @@ def straight_end(depth: F8, ends: F8) -> tuple[float, float, float] | None:
 
 
 def find_pattern(
-    share: F4, steady: NDArray[np.bool_], places: F8, near: Pattern, frame_index: int, t: float
-) -> Seen | None:
-    """The pattern in a frame, from a rough idea of it; None where its straight edges are not both in the field.
+    share: F4, steady: NDArray[np.bool_], places: F8, near: RoughPattern, frame_index: int, t: float
+) -> FramePattern | None:
+    """Find the pattern in a frame, from its rough shape; None where its straight edges are not both in the field.
 
     Args:
         share: [h, w] relative brightness.
@@ -174,11 +175,11 @@ def find_pattern(
     lead, side = (_along(line, rough) for line, rough in zip(lines, (near.lead, near.side), strict=True))
     width = float(1 / np.linalg.norm(matrix, axis=1).mean())
     ends = _arc_ends(x, q, corner, (lead, side), near, width)
-    return Seen(frame_index, t, corner, lead, side, width, *(ends or (None, None, None)))
+    return FramePattern(frame_index, t, corner, lead, side, width, *(ends or (None, None, None)))
 
 
 def _line(x: F8, q: F8, corner: F8, directions: tuple[F8, F8], lengths: tuple[float, float], width: float) -> F8 | None:
-    """(g_x, g_y, c) of q = g . X + c about one straight edge; then again about the line that was found."""
+    """(g_x, g_y, c) of q = g . X + c at one straight edge; repeated about the line that was found."""
     along, beside = directions
     inward = np.array([-along[1], along[0]])
     inward = inward if inward @ beside > 0 else -inward
@@ -212,12 +213,12 @@ def _along(line: F8, rough: F8) -> F8:
 
 
 def _arc_ends(
-    x: F8, q: F8, corner: F8, directions: tuple[F8, F8], near: Pattern, width: float
+    x: F8, q: F8, corner: F8, directions: tuple[F8, F8], near: RoughPattern, width: float
 ) -> tuple[F8, F8, F8] | None:
     """Where the arc meets the leading and the other edge.
 
-    A cone cuts the flat in a conic: A u^2 + B u v + C v^2 + D u + E v = 1, with u and v along the edges. Beside it the
-    left side changes with q, as its gradient says.
+    The cone of light cuts the flat in a conic A u^2 + B u v + C v^2 + D u + E v = 1, u and v along the edges. Beside
+    the arc the left side differs from 1 by q times a factor that varies slowly along the arc.
     """
     lead, side = directions
     oblique = np.linalg.solve(np.column_stack([side, lead]), (x - corner).T)
@@ -242,7 +243,7 @@ def _arc_ends(
 
 
 def _root(square: float, linear: float) -> float | None:
-    """The least positive root of square x^2 + linear x = 1."""
+    """Least positive root of square x^2 + linear x = 1."""
     roots = np.roots([square, linear, -1.0])
     good = [float(root.real) for root in roots if abs(root.imag) < 1e-9 and root.real > 0]
     return min(good) if good else None

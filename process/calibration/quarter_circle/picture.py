@@ -1,4 +1,7 @@
-"""Owns a sweep of the slide's pattern over a white flat as relative brightness: 0 dark, 1 fully lit, place by place."""
+"""Relative brightness of a sweep of the slide's pattern over a white flat: 0 dark, 1 fully lit, for each pixel.
+
+Frames and maps [h, w] float32; levels in the stored depth, grey.
+"""
 
 from __future__ import annotations
 
@@ -13,37 +16,38 @@ from numpy.typing import NDArray
 from acquire.contract.errors import CalibrationError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
+from process.calibration.light_plane.sweeps import coordinate_of, sweep_name
 from process.fold.fold import to_grey
 from process.results.scan_frames import ScanFrames
 
 F4 = NDArray[np.float32]
 F8 = NDArray[np.float64]
 NEAR_LEVEL = 0.08
-"""Values within this share of a pixel's range from its extremes belong to its dark level or its plateau."""
+"""Values within this share of a pixel's range of an extreme belong to its dark level or its plateau."""
 MIN_CONTRAST = 40.0
 """Least range in counts of 8 bit of a pixel that is used."""
 STEADY_SHARE = 0.05
-"""A pixel has a plateau if it stays there for this share of the time for which most pixels are lit."""
+"""Least duration of a plateau, as a share of the median over all lit pixels."""
 MIN_LIT = 2000
 ERODED_WIDTHS = 3.5
 MIN_PLATEAU = 4
-"""Frames that tell a plateau."""
+"""Least frames of a plateau."""
 
 
 @dataclass(frozen=True)
 class SlideSweep:
-    """Levels of a sweep and how to read its frames."""
+    """Dark level and plateau of each pixel of a sweep, and access to its frames."""
 
     scan: Path
     name: str
     usable: NDArray[np.bool_]
-    """[frames]."""
+    """[frames] good in the file."""
     dark: F4
     """[h, w] mean dark level."""
     span: F4
     """[h, w] mean plateau minus dark level."""
     lit: NDArray[np.bool_]
-    """[h, w] light ever reached the pixel; elsewhere its relative brightness is 0."""
+    """[h, w] the light reached the pixel at some time; elsewhere its relative brightness is 0."""
     steady: NDArray[np.bool_]
     """[h, w] the pixel had a dark level and a plateau, so that its half is known."""
     frame_t: F8
@@ -52,10 +56,10 @@ class SlideSweep:
     plan: SweepPlan | None
     format: FrameFormat
 
-    def steadier(self, width_px: float) -> SlideSweep:
-        """The same with ``steady`` only where the light came by at least ERODED_WIDTHS widths of its blur.
+    def without_rim(self, width_px: float) -> SlideSweep:
+        """The sweep with ``steady`` only at ERODED_WIDTHS widths of the blur from the rim of the lit area.
 
-        A pixel that the pattern's rim just grazes has a flat, but too low maximum.
+        A pixel that the rim of the pattern just grazes has a flat, but too low maximum.
         """
         side = 2 * round(ERODED_WIDTHS * width_px) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
@@ -63,10 +67,10 @@ class SlideSweep:
         inner = cv2.erode((half & self.lit).astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=1)
         return replace(self, steady=self.steady & (inner != 0))
 
-    def relevelled(self, inside: Callable[[float], NDArray[np.bool_]], indices: NDArray[np.intp]) -> SlideSweep:
-        """The same with plateaus from the frames in which ``inside`` (of t; [h, w]) says that a pixel is fully lit.
+    def with_plateaus(self, inside: Callable[[float], NDArray[np.bool_]], indices: NDArray[np.intp]) -> SlideSweep:
+        """The sweep with plateaus from the frames in which a pixel is fully lit by ``inside`` (t -> mask [h, w]).
 
-        Near the rim of what the pattern passes over, values just below the plateau are many, and would lower it.
+        Near the rim of the swept area many values lie just below the plateau and would lower it.
         """
         total, count = np.zeros_like(self.dark), np.zeros_like(self.dark)
         with ScanFrames(self.scan) as frames:
@@ -86,18 +90,18 @@ class SlideSweep:
 
 
 def open_slide_sweep(scan: Path) -> SlideSweep:
-    """Find every pixel's levels; reads the scan twice.
+    """Measure the levels of every pixel; reads the scan twice.
 
     Raises:
         ScanFileError: no readable scan.
-        CalibrationError: hardly anything is ever lit.
+        CalibrationError: hardly any pixel is ever lit.
     """
     with ScanFrames(scan) as frames:
         usable, layout = frames.present(), frames.layout
         indices = np.flatnonzero(usable)
         low, high = _extremes(frames, indices)
         depth = 2.0 ** (layout.format.bit_depth - 8)
-        name = layout.path.parent.name if layout.path.name.startswith("scan.") else layout.path.stem
+        name = sweep_name(layout)
         lit = high - low >= MIN_CONTRAST * depth
         if int(lit.sum()) < MIN_LIT:
             raise CalibrationError(
@@ -105,8 +109,7 @@ def open_slide_sweep(scan: Path) -> SlideSweep:
                 "field, the lamp on"
             )
         dark, bright, count = _levels(frames, indices, low, high)
-        positions = frames.field("position_um")
-    known = bool(np.isfinite(positions).all())
+        frame_t, parameter = coordinate_of(frames.field("position_um"))
     typical = float(np.median(count[lit]))
     span = np.where(lit, bright - dark, np.float32(1)).astype(np.float32)
     return SlideSweep(
@@ -117,8 +120,8 @@ def open_slide_sweep(scan: Path) -> SlideSweep:
         span=span,
         lit=lit,
         steady=lit & (count >= max(STEADY_SHARE * typical, 3)),
-        frame_t=positions if known else np.arange(1, layout.count + 1, dtype=np.float64),
-        parameter="position_um" if known else "frame",
+        frame_t=frame_t,
+        parameter=parameter,
         plan=layout.plan,
         format=layout.format,
     )
@@ -143,7 +146,7 @@ def _extremes(frames: ScanFrames, indices: NDArray[np.intp]) -> tuple[F4, F4]:
 
 
 def _levels(frames: ScanFrames, indices: NDArray[np.intp], low: F4, high: F4) -> tuple[F4, F4, F4]:
-    """Mean dark level, mean plateau, and frames on the plateau: the extremes of noisy samples are biased."""
+    """Mean dark level, mean plateau, and number of frames on the plateau: extremes of noisy samples are biased."""
     margin = NEAR_LEVEL * (high - low)
     sums = [np.zeros_like(low) for _ in range(4)]
     for _, grey in _greys(frames, indices):

@@ -1,6 +1,8 @@
-"""Owns a first idea of where the quarter circle is and how it moves, from a few frames of the sweep."""
+"""Rough shape, place and motion of the quarter circle, from a few frames of the sweep. Lengths in mm on the flat."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,21 +10,43 @@ from numpy.typing import NDArray
 from acquire.contract.errors import CalibrationError
 from process.calibration.light_plane import robust
 
-from .edges import Pattern, find_pattern, outline, straight_end
+from .edges import RoughPattern, find_pattern, outline, straight_end
 from .picture import SlideSweep
 
 F8 = NDArray[np.float64]
 COARSE = 64
-"""Frames from which the leading edge's motion is taken."""
+"""Frames from which the motion of the leading edge is taken."""
 LOOKS = 24
 MIN_LOOKS = 4
 MOST_PIXELS = 20_000
 FIRST_WIDTH_SHARE = 0.02
-"""First guess of the blur, of the leading edge's length."""
+"""First guess of the blur, as a share of the leading edge's length."""
 
 
-def rough_pattern(sweep: SlideSweep, places: F8) -> Pattern:
-    """Where the pattern is, roughly.
+class _Outline(NamedTuple):
+    """Outline of the lit region in a frame."""
+
+    t: float
+    ahead: F8
+    """(n_x, n_y, c): n . X + c is the distance ahead of the leading edge."""
+    depth: F8
+    """[bins] behind the leading edge."""
+    low: F8
+    """[bins] one end across it, NaN where it is not in the picture."""
+    high: F8
+    """[bins] the other end."""
+
+
+def straight_track(t: F8, corners: F8) -> tuple[F8, F8, NDArray[np.bool_]]:
+    """Robust regression of corner(t) = origin + velocity t (equation 15): both [2], and the inliers [n]."""
+    design = np.column_stack([np.ones(len(t)), t])
+    fits = [robust.solve(design, corners[:, axis]) for axis in (0, 1)]
+    (x0, vx), (y0, vy) = fits[0].x, fits[1].x
+    return np.array([x0, y0]), np.array([vx, vy]), (fits[0].weight > 0) & (fits[1].weight > 0)
+
+
+def rough_pattern(sweep: SlideSweep, places: F8) -> RoughPattern:
+    """Find the pattern roughly.
 
     Args:
         sweep: over a white flat.
@@ -35,18 +59,18 @@ def rough_pattern(sweep: SlideSweep, places: F8) -> Pattern:
     coarse = every[np.unique(np.linspace(0, len(every) - 1, min(COARSE, len(every))).astype(np.intp))]
     a, b, rate = _leading_edge(sweep, places, coarse)
     looks = coarse[:: max(len(coarse) // LOOKS, 1)]
-    found: list[Look] = []
+    found: list[_Outline] = []
     for index, share in sweep.frames(looks):
         t = float(sweep.frame_t[index])
         ahead = np.array([*(a * rate), (b - t) * rate])
         seen = outline(share, places, ahead)
         if seen is not None:
-            found.append((t, ahead, *seen))
+            found.append(_Outline(t, ahead, *seen))
     return _sharpened(sweep, places, _assembled(found), looks)
 
 
 def _leading_edge(sweep: SlideSweep, places: F8, coarse: NDArray[np.intp]) -> tuple[F8, float, float]:
-    """(a, b, mm per t) of t = a . X + b, when light first reaches a place."""
+    """(a, b, mm per t) of t = a . X + b, the time at which light first reaches a place X."""
     first = np.full(sweep.steady.shape, np.nan)
     before, before_t = None, 0.0
     for index, share in sweep.frames(coarse):
@@ -69,12 +93,11 @@ def _leading_edge(sweep: SlideSweep, places: F8, coarse: NDArray[np.intp]) -> tu
     return fit[:2], float(fit[2]), 1.0 / steep
 
 
-Look = tuple[float, F8, F8, F8, F8]
-"""t, (n_x, n_y, c) of the distance ahead of the leading edge, and the outline: depth, low and high ends."""
-
-
-def _assembled(found: list[Look]) -> Pattern:
-    ends = [[straight_end(look[2], look[3]) for look in found], [straight_end(look[2], look[4]) for look in found]]
+def _assembled(found: list[_Outline]) -> RoughPattern:
+    ends = [
+        [straight_end(look.depth, look.low) for look in found],
+        [straight_end(look.depth, look.high) for look in found],
+    ]
     usable = [[index for index, end in enumerate(side) if end is not None] for side in ends]
     if max(len(indices) for indices in usable) < MIN_LOOKS:
         raise CalibrationError(
@@ -97,14 +120,13 @@ def _assembled(found: list[Look]) -> Pattern:
         other = (high if chosen == 0 else low) - (v + slope * depth)
         leads.append(float(np.nanmax(inward * other)) if np.isfinite(other).any() else np.nan)
         sides.append(float(depth[-1]))
-    n, m = found[0][1][:2], np.array([-found[0][1][1], found[0][1][0]])
+    n, m = found[0].ahead[:2], np.array([-found[0].ahead[1], found[0].ahead[0]])
     side = -n + float(np.median(slopes)) * m
-    design = np.column_stack([np.ones(len(times)), np.array(times)])
-    track = [robust.solve(design, np.array(corners)[:, axis]).x for axis in (0, 1)]
+    origin, velocity, _ = straight_track(np.array(times), np.array(corners))
     lead_mm = float(np.nanpercentile(leads, 75))
-    return Pattern(
-        origin=np.array([track[0][0], track[1][0]]),
-        velocity=np.array([track[0][1], track[1][1]]),
+    return RoughPattern(
+        origin=origin,
+        velocity=velocity,
         lead=inward * m,
         side=side / np.linalg.norm(side),
         lead_mm=lead_mm,
@@ -113,8 +135,8 @@ def _assembled(found: list[Look]) -> Pattern:
     )
 
 
-def _sharpened(sweep: SlideSweep, places: F8, near: Pattern, looks: NDArray[np.intp]) -> Pattern:
-    """The same with the blur and the directions that a few frames really show."""
+def _sharpened(sweep: SlideSweep, places: F8, near: RoughPattern, looks: NDArray[np.intp]) -> RoughPattern:
+    """The pattern with blur, directions and track measured in a few frames."""
     seen = [
         pattern
         for index, share in sweep.frames(looks)
@@ -125,10 +147,9 @@ def _sharpened(sweep: SlideSweep, places: F8, near: Pattern, looks: NDArray[np.i
             f"{sweep.name}: the straight edges of the slide were found in {len(seen)} of {len(looks)} frames only: is "
             "the flat white, even and larger than the pattern?"
         )
-    design = np.column_stack([np.ones(len(seen)), [pattern.t for pattern in seen]])
-    track = [robust.solve(design, np.array([p.corner[axis] for p in seen])).x for axis in (0, 1)]
+    origin, velocity, _ = straight_track(np.array([p.t for p in seen]), np.array([p.corner for p in seen]))
     lead, side = (np.median([getattr(p, name) for p in seen], axis=0) for name in ("lead", "side"))
-    return Pattern(
-        np.array([track[0][0], track[1][0]]), np.array([track[0][1], track[1][1]]), lead / np.linalg.norm(lead),
+    return RoughPattern(
+        origin, velocity, lead / np.linalg.norm(lead),
         side / np.linalg.norm(side), near.lead_mm, near.side_mm, float(np.median([p.width_mm for p in seen])),
     )  # fmt: skip

@@ -1,1 +1,1 @@
-"""A plane per frame."""
+"""Calibration method: one light plane per frame, from its edge on two known planes."""

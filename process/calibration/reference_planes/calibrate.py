@@ -1,4 +1,8 @@
-"""Owns one light plane per frame from where its edge crosses two known planes: for hand-swept rigs and shadows."""
+"""One light plane per frame, from the lines in which its edge crosses two known planes: for hand-swept rigs, shadows.
+
+The classic method that the paper cites ([8]) and could not use for want of depth of focus. Lengths in mm; t is the
+1-based frame number.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +23,13 @@ from process.cloud.triangulation import Rays, rays
 
 F8 = NDArray[np.float64]
 WINDOW_FRAMES = 1.2
-"""Pixels that cross within so many frames of a frame show its edge."""
+"""Pixels that cross within so many frames of a frame belong to its edge."""
 MIN_EDGE_PIXELS = 40
-LIKELY_SKEW_SHARE = 0.02
-"""Two lines of one plane meet; lines further apart than this share of their distance from the camera do not."""
 
 
 @dataclass(frozen=True)
 class ReferencePlane:
-    """A plane n . X = d in the world, and the part of the picture that shows nothing but it."""
+    """A plane n . X = offset in the world, and the part of the picture that shows only this plane."""
 
     name: str
     normal: F8
@@ -45,9 +47,9 @@ class FramePlane:
     normal: F8
     offset: float
     skew_mm: float
-    """Distance of the two lines: 0 if they lie in one plane."""
+    """Distance of the two lines; 0 if they lie in one plane."""
     angle_deg: float
-    """Between the two lines: a plane from nearly parallel lines is weak."""
+    """Angle between the two lines: a plane from nearly parallel lines is uncertain."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,26 @@ class ReferenceResult:
     edge: str
     method: str
     camera_sd: tuple[float, float] | None = None
-    """What the camera's uncertainty does to a plane: mm at the middle of the scene, and degrees; None: not known."""
+    """Standard deviation of a plane by that of the camera: mm at the middle of the scene, degrees; None: unknown."""
 
     @property
     def skew_mm(self) -> F8:
-        """[frames]."""
+        """Distance of the two lines of each frame, [frames]."""
         return np.array([plane.skew_mm for plane in self.planes])
+
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
+        skew = sorted(self.skew_mm.tolist())
+        lines = [
+            f"planes for frames {self.planes[0].t} to {self.planes[-1].t} (1-based); the two lines of a frame miss "
+            f"each other by {skew[len(skew) // 2]:.2f} mm (median), {skew[-1]:.2f} mm at most"
+        ]
+        if self.camera_sd is not None:
+            lines.append(
+                f"the camera's uncertainty alone moves them by {self.camera_sd[0]:.2f} mm at the middle of the scene "
+                f"and turns them by {self.camera_sd[1]:.3f} degrees (standard deviations)"
+            )
+        return lines
 
     def document(self) -> dict[str, Any]:
         """The ``light_plane`` object of calibration.json."""
@@ -87,7 +103,7 @@ class ReferenceResult:
 def plane_from_markers(
     name: str, corners_px: F8, rectangle_mm: tuple[float, float], region: tuple[int, int, int, int], camera: CameraModel
 ) -> ReferencePlane:
-    """The plane of a rectangle whose corners were seen: [4, 2] px, in order around it, width first.
+    """The plane of a marker rectangle from its corners [4, 2] px, in order around it, width first.
 
     Raises:
         CalibrationError: the corners are not those of such a rectangle.
@@ -134,7 +150,7 @@ def _region(values: Sequence[Any]) -> tuple[int, int, int, int]:
 def fit_reference_planes(
     crossing: F8, planes: Sequence[ReferencePlane], camera: CameraModel, *, edge: str, method: str, every: int = 1
 ) -> ReferenceResult:
-    """One plane for each frame whose edge is seen on both of two planes.
+    """Fit one plane for each frame whose edge is seen on both of two planes.
 
     Args:
         crossing: [h, w] 0-based frame index, NaN where there is none.
@@ -142,7 +158,7 @@ def fit_reference_planes(
         camera: with its pose in the world.
         edge: as the sweep was folded.
         method: the crossing estimate.
-        every: of how many frames one gets its plane.
+        every: step between the frames that get a plane.
 
     Raises:
         CalibrationError: not two planes, parallel planes, or no frame that shows its edge on both.
@@ -180,9 +196,9 @@ def _samples(crossing: F8, plane: ReferencePlane, view: Rays) -> tuple[F8, F8]:
 
 
 def _line(points: F8, t: F8, at: float, plane: ReferencePlane) -> tuple[F8, F8, float] | None:
-    """Where the edge of a frame lies on a plane: a point, a unit direction, half the seen length; in mm.
+    """The edge of a frame on a plane: a point, a unit direction, half the seen length; in mm.
 
-    Near the edge the crossing is linear across it: t = g . X + c, robustly; the line is where t is the frame's.
+    Near the edge the crossing is linear across it, t = g . X + c by a robust fit; the line is where t is the frame's.
     """
     near = np.abs(t - at) < WINDOW_FRAMES
     if int(near.sum()) < MIN_EDGE_PIXELS:
@@ -204,7 +220,7 @@ def _line(points: F8, t: F8, at: float, plane: ReferencePlane) -> tuple[F8, F8, 
 
 
 def _plane(t: int, first: tuple[F8, F8, float], second: tuple[F8, F8, float]) -> FramePlane:
-    """The plane that fits both lines best over the lengths that were seen."""
+    """The plane through both lines by least squares over the lengths that were seen."""
     ends = [place + sign * direction * half for place, direction, half in (first, second) for sign in (-1.7, 1.7)]
     points = np.array(ends)
     middle = points.mean(axis=0)

@@ -1,4 +1,4 @@
-"""Owns how uncertain planes from reference planes are because their camera is: often more than anything else."""
+"""Uncertainty of planes from reference planes by that of the camera, which often dominates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .calibrate import FramePlane, ReferencePlane, fit_reference_planes
 F8 = NDArray[np.float64]
 FRAMES = 12
 LEAST_SHARE = 1e-9
-"""Axes of the covariance with less of its largest variance are nothing."""
+"""Axes of the covariance with a smaller share of its largest variance are skipped."""
 
 
 def camera_sd(
@@ -32,12 +32,12 @@ def camera_sd(
 
     Args:
         crossing: [h, w] 0-based frame index.
-        known: the reference planes as a camera sees them (their markers stay where they were seen).
+        known: the reference planes for a camera; the markers' pixels stay.
         camera: the camera.
         covariance: [15, 15] of its intrinsics and world; only the intrinsics act here.
         edge: as folded.
         method: the crossing estimate.
-        frames: that have a plane; a dozen of them are tried.
+        frames: number of planes; a dozen of them are tried.
     """
     every = max(frames // FRAMES, 1)
 
@@ -69,7 +69,7 @@ def _moved(camera: CameraModel, step: F8) -> CameraModel:
 
 
 def _middle(planes: Sequence[ReferencePlane], camera: CameraModel) -> F8:
-    """[3] mm: between the middles of both regions."""
+    """Point [3] mm between the middles of both regions."""
     view, places = rays(camera), []
     for plane in planes:
         left, right, top, bottom = plane.region
@@ -80,7 +80,7 @@ def _middle(planes: Sequence[ReferencePlane], camera: CameraModel) -> F8:
 
 
 def _change(before: FramePlane, after: FramePlane, middle: F8) -> F8:
-    """[2]: mm at the foot of ``middle`` on the plane as it was, and degrees."""
+    """[2]: change of the distance in mm at the foot of ``middle``, and of the direction in degrees."""
     foot = middle - (before.normal @ middle - before.offset) * before.normal
     angle = np.degrees(np.arccos(min(abs(float(before.normal @ after.normal)), 1.0)))
     return np.array([after.normal @ foot - after.offset, angle])

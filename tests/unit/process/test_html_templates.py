@@ -36,7 +36,7 @@ def test_a_value_that_was_forgotten_is_an_error_and_no_gap_in_the_page(template:
 @pytest.mark.parametrize(
     "html",
     [
-        pytest.param(quarter_circle_page(SimpleNamespace(seen=[]), [EVIL], None), id="calibration"),
+        pytest.param(quarter_circle_page(SimpleNamespace(patterns=[]), [EVIL], None), id="calibration"),
         pytest.param(note_html(CommandNote(EVIL, False, 0), 0), id="command note"),
         pytest.param(small_html(EVIL, strong=EVIL), id="small text"),
     ],

@@ -12,7 +12,7 @@ from tui.commands.calibrate.shared import PICTURE_SUFFIXES, board_of, out_option
 from tui.commands.context import PATH, force_option, json_option
 
 if TYPE_CHECKING:
-    from process.calibration.camera.calibrate import CameraResult
+    pass
 
 
 def read_pictures(images: tuple[Path, ...]) -> list[tuple[str, Any]]:
@@ -74,30 +74,6 @@ def camera(
 
     name = Path(stage).name if stage else None
     result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name, corners)
-    document, lines = new_document(result.document()), camera_lines(result)
+    document, lines = new_document(result.document()), result.lines()
     page = ("camera", camera_page(result, lines))
     save(out, document, lines, force=force, as_json=as_json, section="camera", page=page)
-
-
-def camera_lines(result: CameraResult) -> list[str]:
-    """The result as lines of text."""
-    fit, sd = result.fit, result.sd
-    fx, fy, cx, cy = fit.intrinsics[:4]
-    terms = ", ".join(
-        f"{name} = {value:.4g} +- {sd[name]:.2g}"
-        for name, value in zip(("k1", "k2", "p1", "p2", "k3"), fit.distortion, strict=True)
-        if sd[name] > 0
-    )
-    lines = [f"left out {view.name}: {view.reason}" for view in result.views if view.reason]
-    lines += [
-        f"{len(result.used)} of {len(result.views)} views, reprojection error {fit.rms_px:.4f} px RMS "
-        f"(corners by the {result.corner_estimate} estimate)",
-        f"fx = {fx:.2f} +- {sd['fx']:.2f}, fy = {fy:.2f} +- {sd['fy']:.2f}, "
-        f"cx = {cx:.2f} +- {sd['cx']:.2f}, cy = {cy:.2f} +- {sd['cy']:.2f} px",
-        f"distortion: {terms or 'none'} (chosen by held-out views: "
-        + ", ".join(f"{model} {error:.4f}" for model, error in result.held_out_px.items())
-        + " px)",
-    ]
-    if result.stage is None:
-        lines.append("note: no --stage view: the world is the camera's own frame")
-    return lines + [f"note: {note}" for note in result.notes]

@@ -73,25 +73,25 @@ def check(
 
     Board and flat: flatness, and with the board offset and scale. Spheres: probing errors and sphere-spacing error
     (VDI/VDE 2634 part 2). Passed or failed against [check] in rig.toml."""
-    from process.calibration.check.verdict import of_repeat, of_spheres, of_surface
+    from process.calibration.check.verdict import repeatability_figures, sphere_figures, surface_figures
 
     limits = _limits(session, limit_um)
     if sphere_mm:
         sweep, found, plane = _folded(scan, calibration_file)
         words, figures = _spheres(sweep, found, plane)
-        verdicts = of_spheres(figures, sphere_mm, spacing_mm, limits)
+        verdicts = sphere_figures(figures, sphere_mm, spacing_mm, limits)
     else:
         result = _checked(scan, calibration_file, squares, square_mm)
-        words, verdicts = result.words(), of_surface(result, limits)
+        words, verdicts = result.lines(), surface_figures(result, limits)
     if again is not None:
         repeated = _repeated(scan, again, calibration_file)
-        words += repeated.words()
-        verdicts += of_repeat(repeated, limits)
+        words += repeated.lines()
+        verdicts += repeatability_figures(repeated, limits)
     passed = all(figure.ok for figure in verdicts)
     if as_json:
         print_json({"passed": passed, "figures": verdicts})
     else:
-        lines = [*words, *(figure.words() for figure in verdicts), "passed" if passed else "FAILED"]
+        lines = [*words, *(figure.text() for figure in verdicts), "passed" if passed else "FAILED"]
         click.echo("\n".join(lines))
     return 0 if passed else 1
 

@@ -13,7 +13,7 @@ from tui.commands.calibrate.shared import METHOD, board_of, camera_option, edge_
 from tui.commands.context import PATH, force_option, json_option, size_callback
 
 if TYPE_CHECKING:
-    from process.calibration.light_plane.from_sweeps import PlaneResult
+    pass
 
 
 @click.command()
@@ -60,7 +60,7 @@ def plane(
     )  # fmt: skip
     document = read_document(camera_file)
     result = make_plane(recipe, document, method)
-    lines = plane_lines(result)
+    lines = result.lines()
     if not as_json:
         click.echo("\n".join(lines))
     if not result.ok and not force:
@@ -85,36 +85,10 @@ def refit(calibration: Path, method: str, out: Path, force: bool, as_json: bool)
 
     The sweeps that it was made from must still be there."""
     from process.calibration.calibration_file import read_document
-    from process.calibration.light_plane.recipe import refit as make_again
+    from process.calibration.light_plane.recipe import refit_plane
 
-    made = make_again(read_document(calibration), method)
-    save(out, made.document, plane_lines(made.result), force=force, as_json=as_json)
-
-
-def plane_lines(result: PlaneResult) -> list[str]:
-    """The result as lines of text."""
-    lines = [
-        f"{s.name}: {s.pixels} pixels, mean residual {s.mean_um:+.2f} um, RMS {s.rms_um:.2f} um, "
-        f"trend {s.slope_um:.2f} um, bend {s.bend_um:.2f} um, {100 * s.outlier_share:.0f} % left out"
-        + ("" if s.height_mm is None else f", height {s.height_mm:.4f} mm")
-        + ("" if s.moved is None else f", {s.moved.um:.2f} um from where its corners alone put it")
-        + (f": {s.cause}" if s.cause else "")
-        for s in result.surfaces
-    ]
-    n = result.normal
-    unit = "um of travel" if result.parameter == "position_um" else "frame"
-    lines.append(
-        f"normal ({n[0]:.5f}, {n[1]:.5f}, {n[2]:.5f}) +- {result.normal_sd_deg:.4f} degrees, "
-        f"{1000 * result.speed_mm:.5f} um along it per {unit} +- {100 * result.speed_sd:.4f} %"
-    )
-    parts = ", ".join(f"{name} {value:.4f}" for name, value in result.normal_sd_parts_deg.items())
-    lines.append(f"the normal's standard deviation by source, degrees: {parts}")
-    lines.append(
-        f"predicted error of a point at the corners of the field: {result.predicted_um[0]:.2g} um on the stage, "
-        f"{result.predicted_um[1]:.2g} um half a millimetre above (standard deviations, all together)"
-    )
-    lines.append("commanded speed: not determinable, sweeps show the motion along the normal only")
-    return lines + [f"note: {note}" for note in result.notes]
+    made = refit_plane(read_document(calibration), method)
+    save(out, made.document, made.result.lines(), force=force, as_json=as_json)
 
 
 @click.command("reference-planes")
@@ -163,14 +137,4 @@ def reference_planes(
         )  # fmt: skip
         result = replace(result, camera_sd=spread)
     document["light_plane"] = result.document()
-    skew = sorted(result.skew_mm.tolist())
-    lines = [
-        f"planes for frames {result.planes[0].t} to {result.planes[-1].t} (1-based); the two lines of a frame miss "
-        f"each other by {skew[len(skew) // 2]:.2f} mm (median), {skew[-1]:.2f} mm at most"
-    ]
-    if result.camera_sd is not None:
-        lines.append(
-            f"the camera's uncertainty alone moves them by {result.camera_sd[0]:.2f} mm at the middle of the scene "
-            f"and turns them by {result.camera_sd[1]:.3f} degrees (standard deviations)"
-        )
-    save(out, document, lines, force=force, as_json=as_json)
+    save(out, document, result.lines(), force=force, as_json=as_json)

@@ -13,7 +13,7 @@ from tui.commands.context import PATH, force_option, json_option
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration
-    from process.calibration.light_plane.compare import Difference
+    from process.calibration.light_plane.compare import PlaneDifference
     from process.calibration.quarter_circle.calibrate import QuarterCircle
 
 
@@ -65,7 +65,9 @@ def quarter_circle(
     document = read_document(camera_file)
     document["light_plane"] = result.document()
     document["valid_for"] = {"created_utc": utc_now(), "days": DAYS, "zero_id": read_layout(scan).zero_id or None}
-    lines = quarter_circle_lines(result, between)
+    lines = result.lines()
+    if between is not None:
+        lines += between.lines("the other light plane", "the quarter circle")
     page = ("quarter-circle", quarter_circle_page(result, lines, between))
     save(out, document, lines, force=force or out == camera_file, as_json=as_json, page=page, difference=between)
 
@@ -83,7 +85,7 @@ def _found(scan: Path, known: Calibration, slide: object, points: Path | None, h
     )  # fmt: skip
 
 
-def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, named: bool) -> Difference | None:
+def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, named: bool) -> PlaneDifference | None:
     import msgspec
 
     from acquire.contract.calibration import TranslatingPlane
@@ -95,34 +97,3 @@ def _between(other: Calibration, result: QuarterCircle, known: Calibration, *, n
         return None
     own = msgspec.convert(result.document(), TranslatingPlane)
     return difference(other.light_plane, own, known.camera)
-
-
-def quarter_circle_lines(result: QuarterCircle, between: Difference | None) -> list[str]:
-    """The result as lines of text."""
-    import numpy as np
-
-    n, (lead, side) = result.normal, result.lengths_mm
-    unit = "um of travel" if result.parameter == "position_um" else "frame"
-    how = f"found in {len(result.seen)} frames" if result.seen else "from clicked points"
-    lines = [
-        f"corner {how}, {result.track_rms_um:.2f} um RMS about its straight track, "
-        f"{1000 * float(np.linalg.norm(result.velocity)):.5f} um per {unit}",
-        f"leading edge {lead:.4f} mm, the other {side:.4f} mm long (hp = {result.slide.hp_mm:.4f} mm): turned by "
-        f"{np.degrees(result.turns[0]):.2f} and {np.degrees(result.turns[1]):.2f} degrees (negative: it leads towards "
-        "the projector)",
-        f"normal ({n[0]:.5f}, {n[1]:.5f}, {n[2]:.5f})"
-        + ("" if not result.seen else f" +- {result.normal_sd_deg:.4f} degrees from the scatter over the frames"),
-        f"an edge that is wrong by 1 um turns the plane by {_per_um(result):.4f} degrees; sizes of the slide by more",
-    ]
-    if between is not None:
-        lines += between.words("the other light plane", "the quarter circle")
-    return lines
-
-
-def _per_um(result: QuarterCircle) -> float:
-    """Degrees by which theta changes with 1 um of the edge beside the leading one."""
-    import numpy as np
-
-    length = result.lengths_mm[1]
-    share = result.slide.hp_mm * np.cos(result.slide.half_angle) / length
-    return float(np.degrees(share / length / np.sqrt(max(1 - share**2, 1e-12)) * 1e-3))

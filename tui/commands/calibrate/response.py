@@ -40,7 +40,7 @@ def response(
     if as_json:
         print_json({"linear": found.linear, "response": found, "shift_um": found.shift_widths() * width_um})
     else:
-        click.echo("\n".join(found.words(width_um)))
+        click.echo("\n".join(found.lines(width_um)))
     return 0 if found.linear else 1
 
 

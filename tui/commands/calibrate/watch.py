@@ -75,22 +75,22 @@ class CapturedViews:
         return set(found) != before
 
     def _read(self, path: Path) -> ViewFacts:
-        from process.calibration.board.guidance import ViewFacts, look
+        from process.calibration.board.guidance import ViewFacts, assess_view
 
         pixels = read_grey(path)
         if pixels is None:
             return ViewFacts(path.name, found=False, reason="it is no picture that can be read")
-        return look(path.name, pixels, self._board)
+        return assess_view(path.name, pixels, self._board)
 
     def facts(self, live: ViewFacts | None) -> dict[str, Any]:
         """All facts that the console shows."""
-        from process.calibration.board.guidance import guide, live_words
+        from process.calibration.board.guidance import guide, live_advice
 
         views = list(self._known.values())
         found = guide(views)
         return {
             "views": [
-                {"name": view.name, "found": view.found, "words": view.words(), "tilt_deg": round(view.tilt_deg, 1)}
+                {"name": view.name, "found": view.found, "words": view.text(), "tilt_deg": round(view.tilt_deg, 1)}
                 for view in views
             ],
             "coverage": found.coverage,
@@ -99,7 +99,7 @@ class CapturedViews:
             "stage_view": found.stage_view,
             "live": None
             if live is None
-            else {"found": live.found, "corners": live.corners, "words": live_words(live, views)},
+            else {"found": live.found, "corners": live.corners, "words": live_advice(live, views)},
         }
 
 
@@ -112,7 +112,7 @@ def _watch(session: Session, board: Board, collected: CapturedViews, say: Any) -
     from acquire.contract.messaging.messages import Picture
     from acquire.contract.process.run_dir import client_run_dir
     from acquire.contract.rig_client.feed import picture_pixels
-    from process.calibration.board.guidance import look
+    from process.calibration.board.guidance import assess_view
 
     context: zmq.Context[Any] = zmq.Context()
     socket = connect(context, zmq.SUB, client_run_dir(), "preview")
@@ -125,7 +125,7 @@ def _watch(session: Session, board: Board, collected: CapturedViews, say: Any) -
                 pass
             live = None
             if newest is not None and isinstance(newest.message, Picture):
-                live = look("live", picture_pixels(newest.message, newest.buffer), board)
+                live = assess_view("live", picture_pixels(newest.message, newest.buffer), board)
             if live is not None or changed:
                 say(collected.facts(live))
             time.sleep(PAUSE_S)

@@ -15,7 +15,7 @@ from process.calibration.board.detection import Board
 from process.calibration.calibration_file import new_document, write_document
 from process.calibration.check.planarity import repeatability
 from process.calibration.check.spheres import find_spheres, fit_sphere
-from process.calibration.check.verdict import of_spheres
+from process.calibration.check.verdict import sphere_figures
 from tests.fakes.scans.drawn_boards import PINHOLE, Light, bulge, caps, chessboard, sweep, turned
 from tui.cli import cli
 
@@ -111,7 +111,7 @@ def test_wild_points_do_not_move_a_sphere():
 
 def test_fewer_spheres_than_given_are_named():
     with pytest.raises(CalibrationError, match="0 spheres were found, 1 were given"):
-        of_spheres([], [2.0], None, CheckConfig())
+        sphere_figures([], [2.0], None, CheckConfig())
 
 
 def test_two_sweeps_of_different_things_do_not_repeat():

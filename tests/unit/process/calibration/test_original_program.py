@@ -90,7 +90,7 @@ def test_the_corner_track_goes_through_the_two_clicked_corners(files):
 
 def test_an_edge_shorter_than_the_optics_allow_is_impossible_and_said_with_the_number():
     with pytest.raises(CalibrationError, match=r"hp / d = 1\.862 > 1"):
-        pattern_normal(np.array([1.0, 0, 0]), np.zeros(3), np.array([0, -1.0, 0]))
+        pattern_normal(np.array([1.0, 0, 0]), np.zeros(3), np.array([0, -1.0, 0]), VELOCITY)
 
 
 def test_a_calibration_that_ends_early_names_what_is_missing(tmp_path):

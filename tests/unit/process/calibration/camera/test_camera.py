@@ -10,7 +10,7 @@ import pytest
 
 from acquire.contract.errors import CalibrationError
 from process.calibration.board.detection import Board, BoardNotFoundError, find_board
-from process.calibration.camera.bundle import Fit
+from process.calibration.camera.bundle import CameraFit
 from process.calibration.camera.calibrate import calibrate_camera
 from process.calibration.camera.selection import choose_corners, choose_model, without_k1
 from tests.accuracy.uncertainty import SMALL, see
@@ -111,7 +111,7 @@ def test_a_small_board_that_hardly_shows_the_lens_still_takes_its_term_and_says_
 def test_a_term_that_is_left_out_stays_uncertain_by_what_it_may_be():
     covariance = np.diag([4.0, 4.0, 1.0, 1.0, 0.01, 0, 0, 0, 0])
     covariance[0, 4] = covariance[4, 0] = 0.1
-    fit = Fit(np.array([100.0, 100.0, 50.0, 50.0, 0.2, 0, 0, 0, 0]), (), covariance, 0.1, (), "k1")
+    fit = CameraFit(np.array([100.0, 100.0, 50.0, 50.0, 0.2, 0, 0, 0, 0]), (), covariance, 0.1, (), "k1")
     left_out = without_k1(fit)
     assert left_out[4, 4] == pytest.approx(0.01 + 0.2**2)
     assert left_out[0, 0] == pytest.approx(4.0 + (10 * 0.2) ** 2)

@@ -8,7 +8,7 @@ import pytest
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.simulation import Renderer, build_scene
 from process.calibration.board.detection import Board
-from process.calibration.board.guidance import ENOUGH_VIEWS, GRID, SIDES, ViewFacts, guide, live_words, look
+from process.calibration.board.guidance import ENOUGH_VIEWS, GRID, SIDES, ViewFacts, assess_view, guide, live_advice
 
 BOARD = Board(16, 13, 0.3)
 
@@ -28,16 +28,16 @@ def view(name: str, higher: str = "", tilt: float = 12.0, at: tuple[float, float
     ("tilt_x", "tilt_y", "higher"), [(0, 0, ""), (12, 0, "top"), (-12, 0, "bottom"), (0, 12, "left"), (0, -12, "right")]
 )
 def test_the_lean_of_a_board_is_told_from_one_picture(tilt_x, tilt_y, higher):
-    found = look("live", picture(tilt_x, tilt_y), BOARD)
-    assert found.found and found.higher == higher, found.words()
+    found = assess_view("live", picture(tilt_x, tilt_y), BOARD)
+    assert found.found and found.higher == higher, found.text()
     assert found.tilt_deg == pytest.approx(max(abs(tilt_x), abs(tilt_y)), abs=5.0)
     assert all(0 <= x <= 1 and 0 <= y <= 1 for x, y in found.corners)
 
 
 def test_a_picture_without_a_board_says_why():
-    found = look("live", np.full((96, 128), 90, np.uint8), BOARD)
-    assert not found.found and "no chessboard found" in found.words()
-    assert live_words(found, []).startswith("no board: ")
+    found = assess_view("live", np.full((96, 128), 90, np.uint8), BOARD)
+    assert not found.found and "no chessboard found" in found.text()
+    assert live_advice(found, []).startswith("no board: ")
 
 
 def test_without_views_the_flat_one_is_asked_for_first():
@@ -77,5 +77,5 @@ def test_views_that_were_not_found_count_for_nothing():
 
 def test_a_view_like_one_that_is_there_is_not_worth_a_capture():
     live = view("live", "right")
-    assert "as in a; move or tilt it first" in live_words(live, [view("a", "right")])
-    assert "a new view" in live_words(live, [view("a", "left"), view("b", "right", at=(0.2, 0.5))])
+    assert "as in a; move or tilt it first" in live_advice(live, [view("a", "right")])
+    assert "a new view" in live_advice(live, [view("a", "left"), view("b", "right", at=(0.2, 0.5))])

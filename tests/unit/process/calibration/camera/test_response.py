@@ -46,7 +46,7 @@ def test_half_of_the_counts_of_a_camera_with_gamma_comes_early_or_late_and_more_
     # half of the counts is 0.5^(1 / 0.45) = 0.21 of the light: 0.79 widths before the half
     assert found.shift_widths() == pytest.approx(-0.79, abs=0.04)
     assert found.shift_widths() < found.shift_widths(0.4) < 0
-    words = " ".join(found.words(38.1))
+    words = " ".join(found.lines(38.1))
     assert "NOT linear: half of the counts comes -0.7" in words
     assert "switch gamma" in words
 

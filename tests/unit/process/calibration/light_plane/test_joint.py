@@ -11,7 +11,7 @@ import pytest
 from acquire.contract.calibration import CameraModel, parse_calibration
 from process.calibration.calibration_file import new_document
 from process.calibration.light_plane.from_sweeps import PlaneResult, fit_plane
-from process.calibration.light_plane.recipe import SweepRecipe, as_before, with_plane
+from process.calibration.light_plane.recipe import SweepRecipe, with_original_camera, with_plane
 from process.calibration.light_plane.surfaces import Surface
 from tests.accuracy.uncertainty import COARSE, SMALL, measured, point_errors_um
 
@@ -88,7 +88,7 @@ def test_a_plane_is_made_again_with_the_camera_that_its_sweeps_had_no_say_in(sma
     assert parse_calibration(msgspec.json.encode(made).decode()).camera == result.camera
     assert made["camera"]["R"] != document["camera"]["R"]
     assert made["camera"]["quality"]["rms_px"] == 0.02
-    assert as_before(made)["camera"] == document["camera"]
+    assert with_original_camera(made)["camera"] == document["camera"]
     assert with_plane(made, result, SweepRecipe((), 13, 13, 0.1), days=30.0)["camera"] == made["camera"]
 
 
