@@ -12,7 +12,7 @@ from acquire.contract.config.model import RigConfig
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.process.clocks import mono_ns
-from acquire.simulation import Renderer, Scene, build_scene
+from acquire.simulation import Renderer, SimulatedScene, build_scene
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
 from .scripted_faults import ScriptedFaults, parse_script
@@ -46,7 +46,7 @@ class SimulatedCamera:
         """On or off now, since when (CLOCK_MONOTONIC, ns), and what it was before."""
         self._position_steps = position_steps
         self.lost_exposures = 0
-        self.scene: Scene | None = None
+        self.scene: SimulatedScene | None = None
         self._faults = ScriptedFaults(parse_script(simulation.faults))
 
     @property

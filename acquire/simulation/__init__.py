@@ -1,15 +1,15 @@
-"""Optics and objects of the simulated rig: scenes, pictures, their truth and their exact calibration."""
+"""Simulated rig: scenes of objects under a swept plane of light, their pictures, truth and exact calibration."""
 
 from .calibration import ideal_calibration
 from .render import DEFAULT_CAMERA, CameraDefaults, Renderer
-from .scene import Scene, build_scene
+from .scene import SimulatedScene, build_scene
 from .truth import Truth, truth, write_truth
 
 __all__ = [
     "DEFAULT_CAMERA",
     "CameraDefaults",
     "Renderer",
-    "Scene",
+    "SimulatedScene",
     "Truth",
     "build_scene",
     "ideal_calibration",

@@ -1,4 +1,4 @@
-"""Owns the exact calibration of the simulated rig, in the form of calibration.json."""
+"""The exact calibration of the simulated rig, as the content of calibration.json."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .scene import Scene
+from .scene import SimulatedScene
 
 
 def ideal_calibration(
-    scene: Scene,
+    scene: SimulatedScene,
     *,
     first_steps: int,
     steps_per_frame: int,
@@ -20,13 +20,14 @@ def ideal_calibration(
     """The content of calibration.json (docs/design.md, section 5) without any error, for JSON.
 
     Args:
-        scene: what was built; only camera and projector matter. A rehoming error is not in the calibration.
+        scene: the scene, of which only camera and projector matter. A rehoming error is not in the calibration.
         first_steps: position of frame 0 in microsteps.
         steps_per_frame: signed microsteps from one frame to the next.
         count: frames of the sweep.
         parameter: unit of t in corner(t) = origin + velocity t; ``frame`` is 1-based (t = frame_index + 1).
     """
     camera, projector = scene.camera, scene.projector
+    # corner(t) of equation 15: at stage position 0 it is corner_mm, and it moves step_mm per microstep
     step, corner = np.array(projector.step_mm), np.array(projector.corner_mm)
     if parameter == "frame":
         velocity = step * steps_per_frame

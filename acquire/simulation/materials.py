@@ -1,4 +1,7 @@
-"""Owns how surfaces look: albedo, fine relief and room light of bone, matt white, board and black foil."""
+"""Appearance of surfaces: albedo, fine relief and room light of bone, matt white, board and black foil.
+
+Points in mm in the world; albedo is linear RGB, 0..1.
+"""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 
 from .kernels import kernel
 from .noise import mix64, value_noise
-from .objects import Form, signed_distance, to_local
+from .objects import ObjectForm, signed_distance, to_local
 from .optics import Vector
 
 FOIL, BONE, WHITE, BOARD = 0, 1, 2, 3
@@ -21,14 +24,14 @@ BONE_STAIN = (0.60, 0.38, 0.24)
 WHITE_ALBEDO = (0.82, 0.815, 0.80)
 BLACK_ALBEDO = 0.05
 BOARD_BLUR_SHARE = 1.0
-"""Width of a printed square's edge in the picture, in pixels: a pixel averages over its own area, no edge is narrower.
-(A narrower one, looked at in the pixels' middles only, hides where it is: corners are then off by up to 0.1 px.)"""
+"""Width of a printed square's edge in the picture, in pixels: a pixel averages over its area, so no edge is narrower.
+(A narrower one, sampled at the pixels' middles only, would move corners by up to 0.1 px.)"""
 OCCLUSION_REACH_MM = (0.06, 0.15, 0.35)
 
 
 @kernel
 def _checks(
-    form: Form, x: float, y: float, z: float, square_mm: float, columns: int, rows: int, pixel_mm: float
+    form: ObjectForm, x: float, y: float, z: float, square_mm: float, columns: int, rows: int, pixel_mm: float
 ) -> float:
     """Share of white 0..1 at a point of the board, each edge softened over about a pixel."""
     u, v, w = to_local(form, x, y, z)
@@ -53,6 +56,7 @@ def _square_wave(at: float, soft: float, cells: int) -> tuple[float, float]:
 @kernel
 def _fractal(seed: np.uint64, x: float, y: float, z: float) -> float:
     """Texture -1..1 with features of 0.5, 0.15 and 0.04 mm."""
+    # three octaves of value noise; their mean is 0.5
     total = 0.5 * value_noise(seed, 2 * x, 2 * y, 2 * z)
     total += 0.3 * value_noise(seed, 6.7 * x, 6.7 * y, 6.7 * z)
     total += 0.2 * value_noise(seed, 25 * x, 25 * y, 25 * z)
@@ -61,7 +65,7 @@ def _fractal(seed: np.uint64, x: float, y: float, z: float) -> float:
 
 @kernel
 def paint(
-    form: Form,
+    form: ObjectForm,
     points: NDArray[np.float64],
     on_object: NDArray[np.bool_],
     object_material: int,
@@ -95,7 +99,8 @@ def paint(
 
 @kernel
 def _lean(seed: np.uint64, scale: float, x: float, y: float, z: float) -> Vector:
-    """Three smooth values of about -1..1, by which a shading normal leans; two octaves, the lattice turned away."""
+    """Three smooth random values of about -1..1 that tilt a shading normal; two octaves."""
+    # lattices turned against the world's axes and each other, so that no grid shows in the shading
     p, q, r = scale * (0.8 * x + 0.6 * y), scale * (0.8 * y - 0.6 * x), scale * z
     total = (0.0, 0.0, 0.0)
     for octave in range(2):
@@ -111,7 +116,7 @@ def _lean(seed: np.uint64, scale: float, x: float, y: float, z: float) -> Vector
 def shading_normal(
     seed: np.uint64, material: int, relief: float, x: float, y: float, z: float, normal: Vector
 ) -> Vector:
-    """The normal with the surface's fine relief: pores of 30 to 70 um on bone, creases of 0.2 to 0.5 mm on foil."""
+    """The normal tilted by the fine relief: pores of 30 to 70 um on bone, creases of 0.2 to 0.5 mm on foil."""
     scale, strength = 15.0, relief
     if material == FOIL:
         scale, strength = 2.0, 2.5 * relief
@@ -124,8 +129,9 @@ def shading_normal(
 
 
 @kernel
-def room_light(form: Form, x: float, y: float, z: float, normal: Vector) -> float:
-    """Share 0..1 of the room's light from above that reaches a surface: its tilt and what stands beside it."""
+def room_light(form: ObjectForm, x: float, y: float, z: float, normal: Vector) -> float:
+    """Share 0..1 of the room's light from above that reaches a surface, by its tilt and by what stands beside it."""
+    # ambient occlusion: the distance to the object a little way off the surface, relative to that way
     open_share = 1.0
     for reach in OCCLUSION_REACH_MM:
         distance = signed_distance(form, x + reach * normal[0], y + reach * normal[1], z + reach * normal[2])

@@ -1,4 +1,4 @@
-"""Owns the random numbers of the simulated rig: each is a function of its counters, never of order or count of use."""
+"""Counter-based random numbers of the simulated rig: each is a function of its counters, not of the order of use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31 = np.uint64(30), np.uint64(27), np.uint64(31)
 POSITION_RESOLUTION = 1024
-"""Positions that differ by less than 1 / 1024 microstep share their noise: rounding must not change it."""
+"""Positions that differ by less than 1 / 1024 microstep have the same noise: rounding must not change it."""
 _MASK_64 = 2**64 - 1
 
 
@@ -29,7 +29,7 @@ def normal_table() -> NDArray[np.float32]:
 
 
 def frame_key(seed: int, position_steps: float, attempt: int = 0) -> np.uint64:
-    """The key of a frame's noise, 64 bits, from its three counters."""
+    """Key of a frame's noise, 64 bits, from its three counters."""
     key = 0
     for word in (seed, round(position_steps * POSITION_RESOLUTION), attempt):
         key = int(mix64(np.uint64(((key ^ word) + int(GOLDEN)) & _MASK_64)))
@@ -38,7 +38,7 @@ def frame_key(seed: int, position_steps: float, attempt: int = 0) -> np.uint64:
 
 @kernel
 def mix64(word: np.uint64) -> np.uint64:
-    """A bijection of 64 bits in which every input bit flips each output bit half of the time (splitmix64's)."""
+    """Bijection of 64 bits in which each input bit flips each output bit half of the time (that of splitmix64)."""
     word = (word ^ (word >> _S30)) * _MIX_1
     word = (word ^ (word >> _S27)) * _MIX_2
     return word ^ (word >> _S31)
@@ -46,7 +46,8 @@ def mix64(word: np.uint64) -> np.uint64:
 
 @kernel
 def counter_bits(key: np.uint64, counter: int) -> np.uint64:
-    """64 random bits number ``counter`` of the stream ``key``; keys are XORed in, so streams do not overlap shifted."""
+    """64 random bits number ``counter`` of the stream ``key``."""
+    # XOR, not a sum: streams of different keys are then no shifted copies of each other
     return mix64(key ^ (np.uint64(counter) * GOLDEN))
 
 
@@ -62,6 +63,7 @@ def value_noise(seed: np.uint64, x: float, y: float, z: float) -> float:
     """Smooth random field over space, values 0..1, features of about one unit."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     u, v, w = x - i, y - j, z - k
+    # smoothstep weights: no creases at the lattice planes
     u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
     total = 0.0
     for di in range(2):

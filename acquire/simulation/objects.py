@@ -1,4 +1,7 @@
-"""Owns the forms that can lie on the simulated stage, as signed distances in mm (positive outside)."""
+"""Objects on the simulated stage, as signed distances in mm (positive outside).
+
+A stapes ("stirrup"), a spherical cap ("dome") and plates (flat, checkerboard, wedge). World axes as in ``optics``.
+"""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -17,18 +20,18 @@ from .optics import PAPER_TRAVEL, Vector
 
 STIRRUP, DOME, BOX = 0, 1, 2
 STEP_SHARE = 0.85
-"""Of a signed distance that is safe to walk: the bone's form is warped, which stretches distances a little."""
+"""Share of a signed distance that a ray may step: the stapes is warped, which stretches distances a little."""
 FLAT_HALF_MM = (3.7, 2.8)
 WEDGE_HALF_MM = (1.75, 0.72)
 WEDGE_TILT_DEG = (3.0, -6.0)
-"""The wedge's own tilt about x and y, to which the configured one is added: its right side is higher."""
+"""The wedge's own tilt about x and y, added to the configured one: its right side is higher."""
 WEDGE_LIFT_MM = 0.35
 DOME_BASE_MM, DOME_HEIGHT_MM = 0.85, 0.45
 NORMAL_STEP_MM = 1e-4
 
 
-class Form(NamedTuple):
-    """A form and its pose; a named tuple of floats, so that kernels can take it."""
+class ObjectForm(NamedTuple):
+    """An object's form and pose; a named tuple of floats, as kernels take it."""
 
     kind: int
     """STIRRUP, DOME or BOX."""
@@ -44,8 +47,8 @@ class Form(NamedTuple):
     """Greatest corner of that box."""
 
 
-def place_form(config: SimulationConfig) -> Form:
-    """The configured object at its place, shifted by ``specimen_moved_um``."""
+def place_object(config: SimulationConfig) -> ObjectForm:
+    """The configured object in its pose, shifted by ``specimen_moved_um``."""
     if config.object == "stirrup":
         return _stirrup_form(config)
     if config.object == "dome":
@@ -57,12 +60,12 @@ def _heading_deg() -> float:
     return math.degrees(math.atan2(PAPER_TRAVEL[1], PAPER_TRAVEL[0]))
 
 
-def _stirrup_form(config: SimulationConfig) -> Form:
+def _stirrup_form(config: SimulationConfig) -> ObjectForm:
     local = np.array([[-2.1, -1.0, -0.05], [2.1, 1.0, 0.95]])
     return _form(config, STIRRUP, (0.0, 0.0, -config.board_thickness_mm), _turn(_heading_deg()), (0.0,) * 3, local)
 
 
-def _dome_form(config: SimulationConfig) -> Form:
+def _dome_form(config: SimulationConfig) -> ObjectForm:
     radius = (DOME_BASE_MM**2 + DOME_HEIGHT_MM**2) / (2 * DOME_HEIGHT_MM)
     origin = (0.3, 0.0, DOME_HEIGHT_MM - radius - config.board_thickness_mm)
     reach = DOME_BASE_MM + 0.01
@@ -70,8 +73,8 @@ def _dome_form(config: SimulationConfig) -> Form:
     return _form(config, DOME, origin, np.eye(3), (radius, 0.0, 0.0), local)
 
 
-def _plate_form(config: SimulationConfig) -> Form:
-    """Flat, checkerboard and wedge: a slab whose upper face is tilted; a tilted board still rests on the stage."""
+def _plate_form(config: SimulationConfig) -> ObjectForm:
+    """Flat, checkerboard and wedge: a slab with a tilted upper face; a tilted board rests on the stage."""
     tilt_x, tilt_y, yaw, lift = config.tilt_x_deg, config.tilt_y_deg, config.yaw_deg, 0.0
     thickness = config.board_thickness_mm
     half = FLAT_HALF_MM
@@ -97,14 +100,14 @@ def _form(
     rotation: NDArray[np.float64],
     size: Vector,
     local: NDArray[np.float64],
-) -> Form:
+) -> ObjectForm:
     """Pose a form by its local-to-world rotation and box it in; ``local`` [2, 3] is its box in local axes."""
     place = np.array(origin) + np.array(config.specimen_moved_um) / 1000
     corners = np.array([[local[i, 0], local[j, 1], local[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     world = corners @ rotation.T + place
     low, high = world.min(axis=0) - 1e-3, world.max(axis=0) + 1e-3
     rows = tuple(_floats(row) for row in rotation.T)
-    return Form(kind, _floats(place), rows, size, _floats(low), _floats(high))  # type: ignore[arg-type]
+    return ObjectForm(kind, _floats(place), rows, size, _floats(low), _floats(high))  # type: ignore[arg-type]
 
 
 def _floats(values: NDArray[np.float64]) -> Vector:
@@ -126,7 +129,7 @@ def _turn(about_z_deg: float, about_y_deg: float = 0.0, about_x_deg: float = 0.0
 
 
 @kernel
-def to_local(form: Form, x: float, y: float, z: float) -> Vector:
+def to_local(form: ObjectForm, x: float, y: float, z: float) -> Vector:
     """Coordinates of a point of the world in the form's own frame."""
     a, b, c = x - form.origin_mm[0], y - form.origin_mm[1], z - form.origin_mm[2]
     r0, r1, r2 = form.rows
@@ -138,8 +141,8 @@ def to_local(form: Form, x: float, y: float, z: float) -> Vector:
 
 
 @kernel
-def signed_distance(form: Form, x: float, y: float, z: float) -> float:
-    """Distance in mm of a point of the world from the form's surface, negative inside (a lower bound outside)."""
+def signed_distance(form: ObjectForm, x: float, y: float, z: float) -> float:
+    """Distance in mm of a point of the world from the surface, negative inside (a lower bound of it outside)."""
     u, v, w = to_local(form, x, y, z)
     if form.kind == STIRRUP:
         return _stirrup(u, v, w)
@@ -149,7 +152,7 @@ def signed_distance(form: Form, x: float, y: float, z: float) -> float:
 
 
 @kernel
-def surface_normal(form: Form, x: float, y: float, z: float) -> Vector:
+def surface_normal(form: ObjectForm, x: float, y: float, z: float) -> Vector:
     """Unit normal by central differences over 0.2 um, pointing outward."""
     h = NORMAL_STEP_MM
     a = signed_distance(form, x + h, y, z) - signed_distance(form, x - h, y, z)

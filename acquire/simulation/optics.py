@@ -1,8 +1,9 @@
-"""Owns the poses of camera and projector of the simulated rig; everything here is exact geometry in mm.
+"""Camera and projector of the simulated rig: the paper's geometry (equations 1 to 15), exact, in mm.
 
-World: x to the right and y up in the picture, z up toward the camera, z = 0 the pattern of the board lying flat.
-The projector stands on the left and sweeps to the right, as in the pictures of the paper; its printed normal and
-corner track are in a frame with x mirrored, so their x components have the other sign here.
+World: x to the right and y up in the picture, z up toward the camera, z = 0 the pattern of the board lying flat. The
+projector stands on the left and sweeps to the right, as in the pictures of the paper. The paper's printed normal and
+corner track (equations 14 and 15) belong to its listings' convention, with x mirrored: their x components have the
+other sign here. Positions of the stage are in microsteps.
 """
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
@@ -22,13 +23,16 @@ from .kernels import kernel
 
 FULL_WIDTH, FULL_HEIGHT = 1024, 768
 """Image size of the paper's camera; other sizes see the same field with other pixels."""
+# equations 11, 12, 14 and 15
 PAPER_FOCAL_PX = (11560.0, 11530.0)
 PAPER_PRINCIPAL_PX = (692.1, 591.6)
 PAPER_ROTATION = ((0.9998, 0.001851, 0.02065), (-0.002296, 0.9998, 0.02157), (-0.02061, -0.02162, 0.9996))
 PAPER_NORMAL = (0.5461, -0.0055, 0.8377)
 PAPER_TRAVEL = (0.00939, 0.00087, 0.0)
 LENS_FOCAL_MM = 50.0
+"""f of equation 5."""
 LENS_TO_SLIDE_MM = 102.32
+"""xb of the paper's listings."""
 CORNER_MIDWAY_MM = (0.0, 0.9, 0.0)
 """Where the corner of the pattern meets z = 0 half-way through the sweep of the paper."""
 HALF_SWEEP_MM = 789 * 3.175e-3
@@ -40,7 +44,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class PinholeCamera:
     """Pinhole with OpenCV's distortion: X_cam = R X + T (equation 1), pixel centres at integers."""
 
     width: int
@@ -65,7 +69,7 @@ class Camera:
         return directions
 
     def _undistorted(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Invert k1 k2 p1 p2 k3 by fixed point; the distortion is small, ten rounds reach rounding error."""
+        """Invert k1 k2 p1 p2 k3 by fixed-point iteration; for a small distortion ten rounds reach rounding error."""
         k1, k2, p1, p2, k3 = self.distortion
         a, b = x.copy(), y.copy()
         for _ in range(10):
@@ -78,12 +82,12 @@ class Camera:
 
 
 class Projector(NamedTuple):
-    """The slide projector at position 0 and how it moves; a named tuple of floats, so that kernels can take it."""
+    """The slide projector at stage position 0, and its motion; a named tuple of floats, as kernels take it."""
 
     corner_mm: Vector
     """Corner c of the quarter circle on z = 0, at position 0."""
     apex_mm: Vector
-    """Lens centre F at position 0: xf from the corner, against the optical axis (equation 9)."""
+    """Lens centre F at position 0: xf from the corner c, against the optical axis (equation 9)."""
     normal: Vector
     """Unit normal of the leading light plane, z up; points where n . (X - c) < 0 are lit."""
     edge: Vector
@@ -107,8 +111,8 @@ class Projector(NamedTuple):
         return float(np.dot(self.normal, self.step_mm))
 
 
-def paper_camera(config: SimulationConfig, width: int, height: int) -> Camera:
-    """The paper's camera, looking down on the world's origin in the middle of a picture of width x height pixels."""
+def paper_camera(config: SimulationConfig, width: int, height: int) -> PinholeCamera:
+    """The paper's camera (equations 11 and 12), with the world's origin in the middle of a picture of any size."""
     sx, sy = width / FULL_WIDTH, height / FULL_HEIGHT
     matrix = np.array(
         [
@@ -117,17 +121,19 @@ def paper_camera(config: SimulationConfig, width: int, height: int) -> Camera:
             [0.0, 0.0, 1.0],
         ]
     )
+    # printed with four digits R is not quite a rotation: take the nearest one, then turn it to our axes
     left, _, right = np.linalg.svd(np.array(PAPER_ROTATION))
     rotation = (left @ right) @ np.diag([1.0, -1.0, -1.0])
     middle = np.linalg.solve(matrix, [(width - 1) / 2, (height - 1) / 2, 1.0])
     distance_mm = config.camera_distance_mm
-    return Camera(width, height, matrix, np.array(config.distortion), rotation, middle * distance_mm)
+    return PinholeCamera(width, height, matrix, np.array(config.distortion), rotation, middle * distance_mm)
 
 
 def paper_projector(config: SimulationConfig, um_per_microstep: float) -> Projector:
-    """The paper's projector (hs, f, xb; equations 5 to 10), placed so that 0..1578 microsteps cover the field."""
+    """The paper's projector (hs, f, xb; equations 5 to 10, 14), placed so that 0..1578 microsteps cover the field."""
     normal = np.array(PAPER_NORMAL) / np.linalg.norm(PAPER_NORMAL)
     travel = np.array(PAPER_TRAVEL) / np.linalg.norm(PAPER_TRAVEL)
+    # the leading edge is where the light plane meets z = 0; the optical axis lies in the light plane, at right angles
     edge = np.cross(normal, [0.0, 0.0, 1.0])
     edge /= np.linalg.norm(edge)
     axis = np.cross(normal, edge)
@@ -161,7 +167,7 @@ def dot(a: Vector, b: Vector) -> float:
 
 @kernel
 def slide_coordinates(projector: Projector, x: float, y: float, z: float, position_steps: float) -> Vector:
-    """Distances in mm of a point from leading plane, other straight edge's plane, and F along the axis."""
+    """Distances in mm of a point: behind the leading plane, behind the other edge, and from F along the axis."""
     at = (
         x - projector.apex_mm[0] - position_steps * projector.step_mm[0],
         y - projector.apex_mm[1] - position_steps * projector.step_mm[1],
@@ -180,23 +186,25 @@ def normal_cdf(x: float) -> float:
 def lit_fraction(
     projector: Projector, x: float, y: float, z: float, position_steps: float, width_steps: float
 ) -> float:
-    """Share 0..1 of the lamp that the slide lets through to a point, shadows apart: three blurred edges."""
+    """Share 0..1 of the lamp's light that the slide lets through to a point: three blurred edges, without shadows."""
     lead, side, depth = slide_coordinates(projector, x, y, z, position_steps)
     sigma_mm = width_steps * dot(projector.normal, projector.step_mm)
     cosine = 1.0 / math.sqrt(1.0 + projector.radius_ratio**2)
+    # distance within the cone of the arc, measured square to its surface
     arc = (projector.radius_ratio * depth - math.sqrt(lead * lead + side * side)) * cosine
     return normal_cdf(lead / sigma_mm) * normal_cdf(side / sigma_mm) * normal_cdf(arc / sigma_mm)
 
 
 @kernel
 def arc_interval(projector: Projector, x: float, y: float, z: float, inside_mm: float) -> tuple[float, float]:
-    """Positions between which a point is at least ``inside_mm`` within the full cone; (inf, -inf): never."""
+    """Stage positions between which a point is at least ``inside_mm`` within the full cone; (inf, -inf) for never."""
     lead, side, depth = slide_coordinates(projector, x, y, z, 0.0)
     per_lead = dot(projector.normal, projector.step_mm)
     per_side = -dot(projector.edge, projector.step_mm)
     ratio = projector.radius_ratio
     reach = ratio * depth - inside_mm * math.sqrt(1.0 + ratio * ratio)
     per_reach = -ratio * dot(projector.axis, projector.step_mm)
+    # all three distances are linear in the position, so the cone's surface is a quadratic a s^2 + 2 b s + c = 0
     a = per_reach**2 - per_lead**2 - per_side**2
     b = reach * per_reach - lead * per_lead - side * per_side
     c = reach**2 - lead**2 - side**2
@@ -213,7 +221,7 @@ def arc_interval(projector: Projector, x: float, y: float, z: float, inside_mm: 
 def lit_interval(
     projector: Projector, x: float, y: float, z: float, crossing_steps: float, width_steps: float, sigmas: float
 ) -> tuple[float, float]:
-    """Positions between which a point is ``sigmas`` blurs inside all edges (negative: outside by no more)."""
+    """Stage positions between which a point is ``sigmas`` blurs inside all edges (negative: at most so far outside)."""
     inside_mm = sigmas * width_steps * dot(projector.normal, projector.step_mm)
     first, last = arc_interval(projector, x, y, z, inside_mm)
     first = max(first, crossing_steps + sigmas * width_steps)

@@ -1,4 +1,4 @@
-"""Owns what lies on each ray: the surface that a pixel sees, and whether light from the projector reaches it."""
+"""Ray casting: the surface that each pixel sees, and when the projector's light reaches it. Lengths in mm."""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .kernels import kernel
-from .objects import STEP_SHARE, Form, signed_distance, surface_normal
+from .objects import STEP_SHARE, ObjectForm, signed_distance, surface_normal
 from .optics import Projector, Vector, lit_interval
 
 HIT_MM = 1e-7
 MAX_WALK = 200
 SHADOW_START_MM = 4e-3
-"""A shadow ray starts so far from its surface, else it would find that very surface."""
+"""A shadow ray starts so far from its surface, else it would hit that surface."""
 SHADOW_HIT_MM = 2e-4
 VISIBILITY_SAMPLES = 64
 VISIBILITY_STRIDE = 16
-"""Every so many samples a shadow ray is cast before bisection; a shadow moves by some 0.05 mm meanwhile."""
+"""Samples between two coarse shadow rays, before bisection; a shadow moves by some 0.05 mm in between."""
 
 
 @kernel
@@ -39,7 +39,7 @@ def box_interval(low: Vector, high: Vector, start: Vector, direction: Vector) ->
 
 
 @kernel
-def walk_to_surface(form: Form, start: Vector, direction: Vector) -> float:
+def walk_to_surface(form: ObjectForm, start: Vector, direction: Vector) -> float:
     """Path length to the form's surface by sphere tracing; infinite where the ray misses it."""
     at, leave = box_interval(form.low_mm, form.high_mm, start, direction)
     for _ in range(MAX_WALK):
@@ -50,12 +50,13 @@ def walk_to_surface(form: Form, start: Vector, direction: Vector) -> float:
         )
         if distance < HIT_MM:
             return at
+        # sphere tracing: no surface is nearer than the signed distance
         at += distance * STEP_SHARE
     return np.inf
 
 
 @kernel
-def is_blocked(form: Form, x: float, y: float, z: float, apex: Vector) -> bool:
+def is_blocked(form: ObjectForm, x: float, y: float, z: float, apex: Vector) -> bool:
     """True when the form lies between a point of a surface and the projector's apex."""
     a, b, c = apex[0] - x, apex[1] - y, apex[2] - z
     length = math.sqrt(a * a + b * b + c * c)
@@ -74,7 +75,7 @@ def is_blocked(form: Form, x: float, y: float, z: float, apex: Vector) -> bool:
 
 @kernel
 def see_surfaces(
-    form: Form,
+    form: ObjectForm,
     stage_z_mm: float,
     centre: NDArray[np.float64],
     rays: NDArray[np.float64],
@@ -109,15 +110,16 @@ def apex_at(projector: Projector, position_steps: float) -> Vector:
 
 
 @kernel
-def _free(form: Form, projector: Projector, x: float, y: float, z: float, position_steps: float) -> bool:
+def _free(form: ObjectForm, projector: Projector, x: float, y: float, z: float, position_steps: float) -> bool:
     return not is_blocked(form, x, y, z, apex_at(projector, position_steps))
 
 
 @kernel
 def visibility_bits(
-    form: Form, projector: Projector, x: float, y: float, z: float, first_steps: float, pitch_steps: float
+    form: ObjectForm, projector: Projector, x: float, y: float, z: float, first_steps: float, pitch_steps: float
 ) -> np.uint64:
-    """Bit j: light reaches the point at first + j x pitch. Coarse samples, then bisection where two differ."""
+    """Bit j is set if light reaches the point at stage position first_steps + j pitch_steps."""
+    # coarse samples, then bisection between two that differ: a shadow ray is far more expensive than a comparison
     bits = np.uint64(0)
     low, low_free = 0, _free(form, projector, x, y, z, first_steps)
     if low_free:
@@ -143,7 +145,7 @@ def visibility_bits(
 
 @kernel
 def find_shadows(
-    form: Form,
+    form: ObjectForm,
     projector: Projector,
     points: NDArray[np.float64],
     crossing: NDArray[np.float64],
@@ -154,7 +156,7 @@ def find_shadows(
     sigmas: float,
     bits: NDArray[np.uint64],
 ) -> None:
-    """Fill bits [n]: shadow visibility from ``before_steps`` ahead of each pixel's crossing, every ``pitch_steps``.
+    """Fill bits [n]: visibility from ``before_steps`` ahead of each pixel's crossing, every ``pitch_steps``.
 
     Pixels that face away, or that the slide's opening never reaches, get 0.
     """
@@ -168,7 +170,7 @@ def find_shadows(
 
 @kernel
 def visible_share(bits: np.uint64, relative_steps: float, before_steps: float, pitch_steps: float) -> float:
-    """Share 0..1 of light that shadows leave ``relative_steps`` after the crossing; linear between samples."""
+    """Share 0..1 of the light that shadows leave ``relative_steps`` after the crossing, linear between samples."""
     at = (relative_steps + before_steps) / pitch_steps
     at = min(max(at, 0.0), VISIBILITY_SAMPLES - 1.001)
     low = int(at)

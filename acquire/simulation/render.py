@@ -1,4 +1,4 @@
-"""Owns the picture: what the simulated camera delivers with the stage at a position; pure, exact in its noise."""
+"""Pictures of the simulated camera for a stage position: light, noise, quantisation. Pure and reproducible."""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -15,22 +15,22 @@ from .kernels import kernel
 from .noise import TABLE_BITS, counter_bits, frame_key, normal_table
 from .optics import Projector, lit_fraction
 from .raycast import visible_share
-from .scene import Scene
+from .scene import SimulatedScene
 
 COUNTS_AT_DEFAULT = 300.0
-"""Counts of 8 bit of a white surface at normal incidence with the default camera settings (bone gets 80 to 60 %)."""
+"""Counts of 8 bit of a white surface at normal incidence with the default camera settings (bone: 60 to 80 %)."""
 _TABLE_MASK = np.uint64((1 << TABLE_BITS) - 1)
 _TABLE_SHIFT = np.uint64(TABLE_BITS)
 ALL_FREE, NONE_FREE = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0)
 
 
 PixelLight = tuple[NDArray[Any], ...]
-"""Flat arrays of a Scene: points_mm, crossing_steps, width_steps, windows, shadow_bits(, irradiance, room)."""
+"""Flat arrays of a scene: points_mm, crossing_steps, width_steps, windows, shadow_bits(, irradiance, room)."""
 
 
 @dataclass(frozen=True)
 class CameraDefaults:
-    """The camera settings for which the scene's brightness is made."""
+    """Camera settings that the scene's brightness is made for."""
 
     exposure_ms: float = 30.0
     gain: float = 6.0
@@ -41,9 +41,9 @@ DEFAULT_CAMERA = CameraDefaults()
 
 
 class Renderer:
-    """Renders frames of one scene; holds no state that a frame could leave behind."""
+    """Renders frames of one scene; a frame does not depend on the frames before it."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: SimulatedScene):
         self.scene = scene
         self._table = normal_table()
         height, width, channels = scene.albedo.shape
@@ -85,6 +85,7 @@ class Renderer:
             travel_steps: travel during the exposure, in microsteps (motion blur).
         """
         config = self.scene.config
+        # all quantities in levels of the stored depth; the counts of 8 bit of the configuration are scaled
         factor = COUNTS_AT_DEFAULT * light_factor(exposure_ms, gain)
         offset = 2.55 * brightness
         levels = (2**config.bit_depth - 1) / 255
@@ -128,6 +129,7 @@ def lamp_share(
 ) -> float:
     """Share 0..1 of the lamp on pixel i near an edge: the slide's three edges times the shadows."""
     points, crossing, width, _, bits = light[:5]
+    # motion blur: a uniform travel has the variance travel^2 / 12
     blur = math.sqrt(width[i] ** 2 + travel_steps**2 / 12)
     share = lit_fraction(projector, points[i, 0], points[i, 1], points[i, 2], position_steps, blur)
     if bits[i] != ALL_FREE:
@@ -150,9 +152,9 @@ def _render(
     peak: int,
     image: NDArray[Any],
 ) -> None:
-    """Light, then noise, then quantisation, pixel by pixel; image is [n, channels].
+    """Light, noise and quantisation, pixel by pixel; image is [n, channels].
 
-    Most pixels are dark or fully lit; only those near an edge or in a shadow take the exact and slower way.
+    Most pixels are dark or fully lit; only those near an edge or in a shadow need the exact, slower share of the lamp.
     """
     _, _, _, windows, bits, irradiance, room = light
     factor, lamp, room_factor, offset = exposure
@@ -167,6 +169,7 @@ def _render(
                 share = lamp_share(projector, light, shadows, i, position_steps, travel_steps)
             light_here += lamp * share * irradiance[i]
         total = np.float32(factor * light_here)
+        # 64 random bits give each channel its own 14, an index into the table of normal quantiles
         word = counter_bits(key, i)
         for c in range(image.shape[1]):
             signal = total * albedo[i, c]

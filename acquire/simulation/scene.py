@@ -1,4 +1,7 @@
-"""Owns the simulated scene: everything about each pixel that does not change while the stage moves."""
+"""The simulated scene: everything of each pixel that does not change while the stage moves.
+
+Lengths in mm, stage positions in microsteps; arrays [h, w].
+"""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -17,8 +20,8 @@ from acquire.contract.errors import ConfigError
 from . import materials, raycast
 from .kernels import kernel
 from .materials import room_light, shading_normal
-from .objects import Form, place_form
-from .optics import EDGE_SIGMAS, Camera, Projector, dot, lit_interval, paper_camera, paper_projector
+from .objects import ObjectForm, place_object
+from .optics import EDGE_SIGMAS, PinholeCamera, Projector, dot, lit_interval, paper_camera, paper_projector
 
 MATERIALS = {
     "stirrup": materials.BONE,
@@ -28,32 +31,32 @@ MATERIALS = {
     "checkerboard": materials.BOARD,
 }
 MIN_FACING = 0.01
-"""A surface whose normal is further from the light than acos of this is dark: it only grazes."""
+"""Least cosine between normal and light; a surface that the light only grazes is dark."""
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Geometry, light and looks of every pixel; positions are the projector's true ones, in microsteps."""
+class SimulatedScene:
+    """Geometry, light and albedo of every pixel; positions are the projector's true ones."""
 
     config: SimulationConfig
     um_per_microstep: float
-    camera: Camera
+    camera: PinholeCamera
     projector: Projector
-    form: Form
+    form: ObjectForm
     points_mm: NDArray[np.float64]
     """[h, w, 3] the surface that the pixel sees."""
     normals: NDArray[np.float64]
     """[h, w, 3] unit normals of the form (without the fine relief)."""
     on_object: NDArray[np.bool_]
-    """[h, w] object, or the foil of the stage."""
+    """[h, w] True for the object, False for the foil of the stage."""
     crossing_steps: NDArray[np.float64]
-    """[h, w] position at which the light plane passes the point."""
+    """[h, w] stage position at which the light plane passes the point."""
     width_steps: NDArray[np.float64]
     """[h, w] standard deviation of the light edge there, in microsteps of travel."""
     albedo: NDArray[np.float32]
     """[h, w, 3] linear RGB, or [h, w, 1] grey."""
     irradiance: NDArray[np.float32]
-    """[h, w] light of the lamp, 1 at normal incidence in the corner; as at the pixel's own crossing."""
+    """[h, w] light of the lamp at the pixel's own crossing; 1 at normal incidence in the corner."""
     room: NDArray[np.float32]
     """[h, w] light of the room, in the same unit."""
     shadow_bits: NDArray[np.uint64]
@@ -63,7 +66,7 @@ class Scene:
     shadow_pitch_steps: float
     """Microsteps between two of its positions."""
     windows: NDArray[np.float32]
-    """[h, w, 4] positions: not dark from, fully lit from, fully lit until, dark after (shadows apart)."""
+    """[h, w, 4] positions: not dark from, fully lit from, fully lit until, dark after; without shadows."""
 
     @property
     def stage_z_mm(self) -> float:
@@ -71,8 +74,8 @@ class Scene:
         return -self.config.board_thickness_mm
 
 
-def build_scene(config: SimulationConfig, *, width: int, height: int, um_per_microstep: float) -> Scene:
-    """Cast every ray once; takes a second or two at 1024 x 768.
+def build_scene(config: SimulationConfig, *, width: int, height: int, um_per_microstep: float) -> SimulatedScene:
+    """Build the scene by casting every ray once; takes a second or two at 1024 x 768.
 
     The irradiance of a point is that at its own crossing and constant afterwards: the paper's half brightness
     (min + max) / 2 is defined for a lamp whose light does not change while the slide passes. A real projector comes
@@ -83,7 +86,7 @@ def build_scene(config: SimulationConfig, *, width: int, height: int, um_per_mic
     """
     _check(config, width, height, um_per_microstep)
     camera, projector = paper_camera(config, width, height), paper_projector(config, um_per_microstep)
-    form = place_form(config)
+    form = place_object(config)
     count = width * height
     points, normals, on_object = np.empty((count, 3)), np.empty((count, 3)), np.empty(count, dtype=np.bool_)
     raycast.see_surfaces(
@@ -97,7 +100,7 @@ def build_scene(config: SimulationConfig, *, width: int, height: int, um_per_mic
     raycast.find_shadows(form, projector, points, crossing, edge_width, facing, before, pitch, EDGE_SIGMAS, bits)
     _find_windows(projector, points, crossing, edge_width, windows)
     shape = (height, width)
-    return Scene(
+    return SimulatedScene(
         config=config,
         um_per_microstep=um_per_microstep,
         camera=camera,
@@ -133,13 +136,18 @@ def _crossings(projector: Projector, points: NDArray[np.float64]) -> tuple[NDArr
     """Position at which the plane passes each point, and the blur there, both [n] in microsteps."""
     normal = np.array(projector.normal)
     crossing = (points - np.array(projector.corner_mm)) @ normal / projector.normal_step_mm
+    # the blur grows with the distance from the focus along the optical axis
     from_apex = points - np.array(projector.apex_mm) - crossing[:, None] * np.array(projector.step_mm)
     defocus_mm = from_apex @ np.array(projector.axis) - projector.focus_mm
     return crossing, np.hypot(projector.best_width_steps, projector.defocus_steps_per_mm * defocus_mm)
 
 
 def _looks(
-    config: SimulationConfig, form: Form, points: NDArray[np.float64], on_object: NDArray[np.bool_], pixel_mm: float
+    config: SimulationConfig,
+    form: ObjectForm,
+    points: NDArray[np.float64],
+    on_object: NDArray[np.bool_],
+    pixel_mm: float,
 ) -> NDArray[np.float32]:
     """Albedo [n, 3], or [n, 1] by OpenCV's grey weights for a mono camera."""
     albedo = np.empty((len(points), 3), dtype=np.float32)
@@ -153,14 +161,14 @@ def _looks(
 
 def _light(
     config: SimulationConfig,
-    form: Form,
+    form: ObjectForm,
     projector: Projector,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
     on_object: NDArray[np.bool_],
     crossing: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Lamp's and room's light, and the cosine between normal and light, each [n]."""
+    """Light of lamp and room, and the cosine between normal and light less MIN_FACING, each [n]."""
     irradiance, room, facing = (np.empty(len(points), dtype=np.float32) for _ in range(3))
     ambient = config.board_ambient if config.object == "checkerboard" else config.ambient
     material, seed = MATERIALS[config.object], np.uint64(config.seed)
@@ -173,7 +181,7 @@ def _light(
 
 @kernel
 def _shade(
-    form: Form,
+    form: ObjectForm,
     projector: Projector,
     points: NDArray[np.float64],
     normals: NDArray[np.float64],
@@ -186,7 +194,7 @@ def _shade(
     room: NDArray[np.float32],
     facing: NDArray[np.float32],
 ) -> None:
-    """Lambert's law at each pixel's own crossing, with the square of the distance."""
+    """Lambert's law and the inverse square of the distance, at each pixel's own crossing."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         normal = (normals[i, 0], normals[i, 1], normals[i, 2])
@@ -194,6 +202,7 @@ def _shade(
         a, b, c = apex[0] - x, apex[1] - y, apex[2] - z
         length = math.sqrt(a * a + b * b + c * c)
         light = (a / length, b / length, c / length)
+        # the true normal decides whether the light reaches the surface, the relief only how bright it is
         facing[i] = dot(normal, light) - MIN_FACING
         rough = shading_normal(seed, material if on_object[i] else materials.FOIL, relief, x, y, z, normal)
         share = max(dot(rough, light), 0.0) if facing[i] > 0 else 0.0
@@ -202,7 +211,7 @@ def _shade(
 
 
 def _shadow_sampling(projector: Projector, widest_steps: float) -> tuple[float, float]:
-    """Microsteps ahead of the crossing, and between two samples, that cover the longest time in the light."""
+    """Microsteps ahead of the crossing, and between samples, that cover the longest time in the light."""
     before = EDGE_SIGMAS * widest_steps
     deepest_mm = (projector.radius_ratio * projector.focus_mm) / projector.normal_step_mm
     longest_steps = 1.25 * deepest_mm
@@ -217,7 +226,7 @@ def _find_windows(
     width: NDArray[np.float64],
     windows: NDArray[np.float32],
 ) -> None:
-    """Fill windows [n, 4] (Scene.windows); a pixel that is never fully lit has an empty inner window."""
+    """Fill windows [n, 4] (SimulatedScene.windows); a pixel that is never fully lit has an empty inner window."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         outer = lit_interval(projector, x, y, z, crossing[i], width[i], -EDGE_SIGMAS)

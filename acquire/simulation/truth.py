@@ -1,4 +1,4 @@
-"""Owns the truth of a simulated sweep: what an estimator without noise or error would find."""
+"""Ground truth of a simulated sweep: what an estimator without noise or error would find."""
 
 # ruff: noqa: PLR0917 - kernels take their arrays and numbers by position
 
@@ -17,10 +17,10 @@ from acquire.contract.files import replace_file
 from .kernels import kernel
 from .optics import Projector, normal_cdf
 from .render import COUNTS_AT_DEFAULT, NONE_FREE, PixelLight, lamp_share
-from .scene import Scene
+from .scene import SimulatedScene
 
 PLATEAU_SIGMAS = 3.5
-"""Dark so many blurs before the crossing, and fully lit so many after it: both ends of the edge are in the frames."""
+"""Blurs before and after the crossing that have to be in the frames for a pixel to count as visible."""
 PLATEAU_SHARE = 0.999
 GREY = np.array([0.299, 0.587, 0.114])
 
@@ -43,8 +43,8 @@ class Truth:
     """Standard deviation of the light edge in frames."""
 
 
-def truth(scene: Scene, first_steps: int, steps_per_frame: int, count: int) -> Truth:
-    """The truth of the sweep with frame k at first + k x steps_per_frame (negative: the other way), k < count.
+def truth(scene: SimulatedScene, first_steps: int, steps_per_frame: int, count: int) -> Truth:
+    """The truth of the sweep with frame k at first_steps + k steps_per_frame (negative: the other way), k < count.
 
     Raises:
         ConfigError: no frames, or a sweep that does not move.
@@ -86,12 +86,12 @@ def write_truth(path: Path, truth: Truth) -> None:
     replace_file(Path(path), write)
 
 
-def _light_arrays(scene: Scene) -> tuple[NDArray[np.generic], ...]:
-    """What render.lamp_share reads of each pixel, in its order."""
+def _light_arrays(scene: SimulatedScene) -> tuple[NDArray[np.generic], ...]:
+    """The arrays that render.lamp_share reads, in its order."""
     return (scene.points_mm, scene.crossing_steps, scene.width_steps, scene.windows, scene.shadow_bits)
 
 
-def _counts(scene: Scene, grey: NDArray[np.float32], share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _counts(scene: SimulatedScene, grey: NDArray[np.float32], share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Brightness in counts of 8 bit, saturated, when ``share`` of the lamp falls on each pixel."""
     return np.minimum(255.0, COUNTS_AT_DEFAULT * grey * (share * scene.irradiance + scene.room))
 
@@ -115,6 +115,7 @@ def _extremes(
         low[i], high[i], clean[i] = 0.0, 0.0, False
         if bits[i] == NONE_FREE or windows[i, 0] > windows[i, 3]:
             continue
+        # outside of its window a pixel is dark, so the extremes lie among the frames within it
         starts_dark = positions[0] <= windows[i, 0] or positions[-1] >= windows[i, 3]
         low[i] = 0.0 if starts_dark else 1.0
         for k in range(np.searchsorted(positions, windows[i, 0]), np.searchsorted(positions, windows[i, 3])):
@@ -127,7 +128,7 @@ def _extremes(
 
 @kernel
 def _is_clean(projector: Projector, light: PixelLight, shadows: tuple[float, float], i: int) -> bool:
-    """Whether around the crossing the light is what the leading edge alone lets through."""
+    """Whether the light about the crossing is what the leading edge alone lets through."""
     crossing, width = light[1][i], light[2][i]
     for quarter in range(-int(4 * PLATEAU_SIGMAS), int(4 * PLATEAU_SIGMAS) + 1):
         alone = normal_cdf(0.25 * quarter)
