@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .kernels import kernel
+from .kernels import F4, F8, Mask, kernel
 from .noise import mix64, value_noise
 from .objects import ObjectForm, signed_distance, to_local
 from .optics import Vector
@@ -66,14 +65,14 @@ def _fractal(seed: np.uint64, x: float, y: float, z: float) -> float:
 @kernel
 def paint(
     form: ObjectForm,
-    points: NDArray[np.float64],
-    on_object: NDArray[np.bool_],
+    points: F8,
+    on_object: Mask,
     object_material: int,
     seed: np.uint64,
     contrast: float,
     board: tuple[float, int, int],
     pixel_mm: float,
-    albedo: NDArray[np.float32],
+    albedo: F4,
 ) -> None:
     """Fill albedo [n, 3] (linear RGB) of points [n, 3]; board is (square_mm, columns, rows)."""
     for i in range(points.shape[0]):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .kernels import kernel
+from .kernels import F4, kernel
 
 TABLE_BITS = 14
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -19,12 +18,12 @@ POSITION_RESOLUTION = 1024
 _MASK_64 = 2**64 - 1
 
 
-def normal_table() -> NDArray[np.float32]:
+def normal_table() -> F4:
     """Quantiles of the normal distribution at 2^14 equal steps, float32, variance exactly 1, reach 4.0."""
     count = 1 << TABLE_BITS
     half = [NormalDist().inv_cdf((i + 0.5) / count) for i in range(count // 2)]
     values = np.array(half + [-value for value in reversed(half)])
-    scaled: NDArray[np.float32] = (values / values.std()).astype(np.float32)
+    scaled: F4 = (values / values.std()).astype(np.float32)
     return scaled
 
 

@@ -11,11 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.contract.config.simulation import SimulationConfig
 
-from .kernels import kernel
+from .kernels import F8, kernel
 from .optics import PAPER_TRAVEL, Vector
 
 STIRRUP, DOME, BOX = 0, 1, 2
@@ -93,14 +92,7 @@ def _plate_form(config: SimulationConfig) -> ObjectForm:
     return _form(config, BOX, (0.0, 0.0, lift), rotation, size, local)
 
 
-def _form(
-    config: SimulationConfig,
-    kind: int,
-    origin: Vector,
-    rotation: NDArray[np.float64],
-    size: Vector,
-    local: NDArray[np.float64],
-) -> ObjectForm:
+def _form(config: SimulationConfig, kind: int, origin: Vector, rotation: F8, size: Vector, local: F8) -> ObjectForm:
     """Pose a form by its local-to-world rotation and box it in; ``local`` [2, 3] is its box in local axes."""
     place = np.array(origin) + np.array(config.specimen_moved_um) / 1000
     corners = np.array([[local[i, 0], local[j, 1], local[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
@@ -110,12 +102,12 @@ def _form(
     return ObjectForm(kind, _floats(place), rows, size, _floats(low), _floats(high))  # type: ignore[arg-type]
 
 
-def _floats(values: NDArray[np.float64]) -> Vector:
+def _floats(values: F8) -> Vector:
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
-def _turn(about_z_deg: float, about_y_deg: float = 0.0, about_x_deg: float = 0.0) -> NDArray[np.float64]:
+def _turn(about_z_deg: float, about_y_deg: float = 0.0, about_x_deg: float = 0.0) -> F8:
     """Right-handed rotation Rz Ry Rx, shape [3, 3]."""
     (cz, sz), (cy, sy), (cx, sx) = (
         (math.cos(math.radians(angle)), math.sin(math.radians(angle)))
@@ -124,7 +116,7 @@ def _turn(about_z_deg: float, about_y_deg: float = 0.0, about_x_deg: float = 0.0
     about_z = np.array([[cz, -sz, 0.0], [sz, cz, 0.0], [0.0, 0.0, 1.0]])
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    rotation: NDArray[np.float64] = about_z @ about_y @ about_x
+    rotation: F8 = about_z @ about_y @ about_x
     return rotation
 
 

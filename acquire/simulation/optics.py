@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.contract.config.simulation import SimulationConfig
 
-from .kernels import kernel
+from .kernels import F8, kernel
 
 FULL_WIDTH, FULL_HEIGHT = 1024, 768
 """Image size of the paper's camera; other sizes see the same field with other pixels."""
@@ -49,26 +48,26 @@ class PinholeCamera:
 
     width: int
     height: int
-    matrix: NDArray[np.float64]
-    distortion: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    matrix: F8
+    distortion: F8
+    rotation: F8
+    translation: F8
 
     @property
-    def centre_mm(self) -> NDArray[np.float64]:
+    def centre_mm(self) -> F8:
         """u = -R^T T of equation 2, shape [3]."""
         return -self.rotation.T @ self.translation
 
-    def rays(self) -> NDArray[np.float64]:
+    def rays(self) -> F8:
         """Unit directions v = R^T K^-1 p' (equation 2) of all pixels in the world, undistorted, shape [h, w, 3]."""
         x = (np.arange(self.width) - self.matrix[0, 2]) / self.matrix[0, 0]
         y = (np.arange(self.height) - self.matrix[1, 2]) / self.matrix[1, 1]
         plane = self._undistorted(*np.meshgrid(x, y))
         rays = np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1) @ self.rotation
-        directions: NDArray[np.float64] = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        directions: F8 = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         return directions
 
-    def _undistorted(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _undistorted(self, x: F8, y: F8) -> F8:
         """Invert k1 k2 p1 p2 k3 by fixed-point iteration; for a small distortion ten rounds reach rounding error."""
         k1, k2, p1, p2, k3 = self.distortion
         a, b = x.copy(), y.copy()
@@ -154,7 +153,7 @@ def paper_projector(config: SimulationConfig, um_per_microstep: float) -> Projec
     )
 
 
-def _vector(values: NDArray[np.float64]) -> Vector:
+def _vector(values: F8) -> Vector:
     x, y, z = (float(value) for value in values)
     return x, y, z
 

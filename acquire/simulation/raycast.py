@@ -7,9 +7,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .kernels import kernel
+from .kernels import F4, F8, Bits, Mask, kernel
 from .objects import STEP_SHARE, ObjectForm, signed_distance, surface_normal
 from .optics import Projector, Vector, lit_interval
 
@@ -75,13 +74,7 @@ def is_blocked(form: ObjectForm, x: float, y: float, z: float, apex: Vector) -> 
 
 @kernel
 def see_surfaces(
-    form: ObjectForm,
-    stage_z_mm: float,
-    centre: NDArray[np.float64],
-    rays: NDArray[np.float64],
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    on_object: NDArray[np.bool_],
+    form: ObjectForm, stage_z_mm: float, centre: F8, rays: F8, points: F8, normals: F8, on_object: Mask
 ) -> None:
     """Fill points [n, 3] in mm, outward normals [n, 3] and on_object [n] for rays [n, 3] from the camera's centre."""
     start = (centre[0], centre[1], centre[2])
@@ -147,14 +140,14 @@ def visibility_bits(
 def find_shadows(
     form: ObjectForm,
     projector: Projector,
-    points: NDArray[np.float64],
-    crossing: NDArray[np.float64],
-    width: NDArray[np.float64],
-    facing: NDArray[np.float32],
+    points: F8,
+    crossing: F8,
+    width: F8,
+    facing: F4,
     before_steps: float,
     pitch_steps: float,
     sigmas: float,
-    bits: NDArray[np.uint64],
+    bits: Bits,
 ) -> None:
     """Fill bits [n]: visibility from ``before_steps`` ahead of each pixel's crossing, every ``pitch_steps``.
 

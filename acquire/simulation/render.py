@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernels import kernel
+from .kernels import F4, kernel
 from .noise import TABLE_BITS, counter_bits, frame_key, normal_table
 from .optics import Projector, lit_fraction
 from .raycast import visible_share
@@ -141,14 +141,14 @@ def lamp_share(
 def _render(
     projector: Projector,
     light: PixelLight,
-    albedo: NDArray[np.float32],
+    albedo: F4,
     shadows: tuple[float, float],
     position_steps: float,
     travel_steps: float,
     exposure: tuple[float, float, float, float],
     noise: tuple[float, float],
     key: np.uint64,
-    table: NDArray[np.float32],
+    table: F4,
     peak: int,
     image: NDArray[Any],
 ) -> None:

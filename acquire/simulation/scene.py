@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import ConfigError
 
 from . import materials, raycast
-from .kernels import kernel
+from .kernels import F4, F8, Bits, Mask, kernel
 from .materials import room_light, shading_normal
 from .objects import ObjectForm, place_object
 from .optics import EDGE_SIGMAS, PinholeCamera, Projector, dot, lit_interval, paper_camera, paper_projector
@@ -43,29 +42,29 @@ class SimulatedScene:
     camera: PinholeCamera
     projector: Projector
     form: ObjectForm
-    points_mm: NDArray[np.float64]
+    points_mm: F8
     """[h, w, 3] the surface that the pixel sees."""
-    normals: NDArray[np.float64]
+    normals: F8
     """[h, w, 3] unit normals of the form (without the fine relief)."""
-    on_object: NDArray[np.bool_]
+    on_object: Mask
     """[h, w] True for the object, False for the foil of the stage."""
-    crossing_steps: NDArray[np.float64]
+    crossing_steps: F8
     """[h, w] stage position at which the light plane passes the point."""
-    width_steps: NDArray[np.float64]
+    width_steps: F8
     """[h, w] standard deviation of the light edge there, in microsteps of travel."""
-    albedo: NDArray[np.float32]
+    albedo: F4
     """[h, w, 3] linear RGB, or [h, w, 1] grey."""
-    irradiance: NDArray[np.float32]
+    irradiance: F4
     """[h, w] light of the lamp at the pixel's own crossing; 1 at normal incidence in the corner."""
-    room: NDArray[np.float32]
+    room: F4
     """[h, w] light of the room, in the same unit."""
-    shadow_bits: NDArray[np.uint64]
+    shadow_bits: Bits
     """[h, w] shadows by stage position (raycast.visibility_bits)."""
     shadow_before_steps: float
     """First position of shadow_bits, ahead of the crossing."""
     shadow_pitch_steps: float
     """Microsteps between two of its positions."""
-    windows: NDArray[np.float32]
+    windows: F4
     """[h, w, 4] positions: not dark from, fully lit from, fully lit until, dark after; without shadows."""
 
     @property
@@ -132,7 +131,7 @@ def _check(config: SimulationConfig, width: int, height: int, um_per_microstep: 
         raise ConfigError(f"simulation: um_per_microstep must be a positive number; it is {um_per_microstep}")
 
 
-def _crossings(projector: Projector, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _crossings(projector: Projector, points: F8) -> tuple[F8, F8]:
     """Position at which the plane passes each point, and the blur there, both [n] in microsteps."""
     normal = np.array(projector.normal)
     crossing = (points - np.array(projector.corner_mm)) @ normal / projector.normal_step_mm
@@ -142,13 +141,7 @@ def _crossings(projector: Projector, points: NDArray[np.float64]) -> tuple[NDArr
     return crossing, np.hypot(projector.best_width_steps, projector.defocus_steps_per_mm * defocus_mm)
 
 
-def _looks(
-    config: SimulationConfig,
-    form: ObjectForm,
-    points: NDArray[np.float64],
-    on_object: NDArray[np.bool_],
-    pixel_mm: float,
-) -> NDArray[np.float32]:
+def _looks(config: SimulationConfig, form: ObjectForm, points: F8, on_object: Mask, pixel_mm: float) -> F4:
     """Albedo [n, 3], or [n, 1] by OpenCV's grey weights for a mono camera."""
     albedo = np.empty((len(points), 3), dtype=np.float32)
     board = (config.board_square_mm, config.board_columns, config.board_rows)
@@ -163,11 +156,11 @@ def _light(
     config: SimulationConfig,
     form: ObjectForm,
     projector: Projector,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    on_object: NDArray[np.bool_],
-    crossing: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    points: F8,
+    normals: F8,
+    on_object: Mask,
+    crossing: F8,
+) -> tuple[F4, F4, F4]:
     """Light of lamp and room, and the cosine between normal and light less MIN_FACING, each [n]."""
     irradiance, room, facing = (np.empty(len(points), dtype=np.float32) for _ in range(3))
     ambient = config.board_ambient if config.object == "checkerboard" else config.ambient
@@ -183,16 +176,16 @@ def _light(
 def _shade(
     form: ObjectForm,
     projector: Projector,
-    points: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    on_object: NDArray[np.bool_],
-    crossing: NDArray[np.float64],
+    points: F8,
+    normals: F8,
+    on_object: Mask,
+    crossing: F8,
     material: int,
     seed: np.uint64,
     relief: float,
-    irradiance: NDArray[np.float32],
-    room: NDArray[np.float32],
-    facing: NDArray[np.float32],
+    irradiance: F4,
+    room: F4,
+    facing: F4,
 ) -> None:
     """Lambert's law and the inverse square of the distance, at each pixel's own crossing."""
     for i in range(points.shape[0]):
@@ -219,13 +212,7 @@ def _shadow_sampling(projector: Projector, widest_steps: float) -> tuple[float, 
 
 
 @kernel
-def _find_windows(
-    projector: Projector,
-    points: NDArray[np.float64],
-    crossing: NDArray[np.float64],
-    width: NDArray[np.float64],
-    windows: NDArray[np.float32],
-) -> None:
+def _find_windows(projector: Projector, points: F8, crossing: F8, width: F8, windows: F4) -> None:
     """Fill windows [n, 4] (SimulatedScene.windows); a pixel that is never fully lit has an empty inner window."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]

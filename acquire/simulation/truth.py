@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from acquire.contract.errors import ConfigError
 from acquire.contract.files import replace_file
 
-from .kernels import kernel
+from .kernels import F4, F8, Mask, kernel
 from .optics import Projector, normal_cdf
 from .render import COUNTS_AT_DEFAULT, NONE_FREE, PixelLight, lamp_share
 from .scene import SimulatedScene
@@ -29,17 +29,17 @@ GREY = np.array([0.299, 0.587, 0.114])
 class Truth:
     """Arrays of truth.h5, each [h, w]; frames are counted from 0."""
 
-    points: NDArray[np.float64]
+    points: F8
     """[h, w, 3] mm."""
-    crossing: NDArray[np.float64]
+    crossing: F8
     """Fractional frame index at which the light plane passes the point; NaN outside of the sweep."""
-    normals: NDArray[np.float32]
+    normals: F4
     """[h, w, 3] outward."""
     visible: NDArray[np.uint8]
     """1: lit by the sweep from dark to plateau, with no shadow in between, and seen by the camera."""
-    amplitude: NDArray[np.float32]
+    amplitude: F4
     """Greatest minus least brightness (OpenCV's grey) without noise, default camera settings, counts of 8 bit."""
-    edge_width: NDArray[np.float32]
+    edge_width: F4
     """Standard deviation of the light edge in frames."""
 
 
@@ -91,20 +91,14 @@ def _light_arrays(scene: SimulatedScene) -> tuple[NDArray[np.generic], ...]:
     return (scene.points_mm, scene.crossing_steps, scene.width_steps, scene.windows, scene.shadow_bits)
 
 
-def _counts(scene: SimulatedScene, grey: NDArray[np.float32], share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _counts(scene: SimulatedScene, grey: F4, share: F8) -> F8:
     """Brightness in counts of 8 bit, saturated, when ``share`` of the lamp falls on each pixel."""
     return np.minimum(255.0, COUNTS_AT_DEFAULT * grey * (share * scene.irradiance + scene.room))
 
 
 @kernel
 def _extremes(
-    projector: Projector,
-    light: PixelLight,
-    shadows: tuple[float, float],
-    positions: NDArray[np.float64],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-    clean: NDArray[np.bool_],
+    projector: Projector, light: PixelLight, shadows: tuple[float, float], positions: F8, low: F8, high: F8, clean: Mask
 ) -> None:
     """Least and greatest share of the lamp over all positions (ascending), and whether the leading edge is clean.
 

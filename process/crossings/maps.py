@@ -161,25 +161,9 @@ def _check_same(samples: Samples, columns: Samples, pixels: NDArray[np.intp]) ->
 
 def empty_samples(pixels: int) -> Samples:
     """Samples of some pixels, all zero."""
-
-    def levels() -> NDArray[np.uint16]:
-        return np.zeros(pixels, np.uint16)
-
-    def numbers() -> NDArray[np.int32]:
-        return np.zeros(pixels, np.int32)
-
-    return Samples(
-        minimum=levels(),
-        maximum=levels(),
-        first=levels(),
-        ordinal=numbers(),
-        level=levels(),
-        before=levels(),
-        later_dip=numbers(),
-        last_ordinal=numbers(),
-        tail_dip=levels(),
-        tail_rise=levels(),
-    )
+    numbers = ("ordinal", "later_dip", "last_ordinal")
+    arrays: list[Any] = [np.zeros(pixels, np.int32 if name in numbers else np.uint16) for name in Samples._fields]
+    return Samples(*arrays)
 
 
 def _resolve(

@@ -250,25 +250,17 @@ class Fold:
         size = len(self._first)
         wanted = np.zeros(size, np.uint8)
         wanted[: self._pixels] = mask.ravel()
-        found = LoggedCrossings(
-            ordinal=np.empty(size, np.int32),
-            level=np.empty(size, np.uint16),
-            before=np.empty(size, np.uint16),
-            later_dip=np.empty(size, np.int32),
-            last_ordinal=np.empty(size, np.int32),
-        )
+        types = (np.int32, np.uint16, np.uint16, np.int32, np.int32)
+        arrays: list[Any] = [np.empty(size, dtype) for dtype in types]
+        found = LoggedCrossings(*arrays)
         find_crossings(self._state.reshape(-1), self._log, wanted, found)
         return Samples(
             minimum=lowest,
             maximum=highest,
             first=self._first[: self._pixels],
-            ordinal=found.ordinal[: self._pixels],
-            level=found.level[: self._pixels],
-            before=found.before[: self._pixels],
-            later_dip=found.later_dip[: self._pixels],
-            last_ordinal=found.last_ordinal[: self._pixels],
             tail_dip=self._plane(TAIL_DIP),
             tail_rise=self._plane(TAIL_RISE),
+            **{name: values[: self._pixels] for name, values in found._asdict().items()},
         )
 
     def _grey_colour(self, maximum: NDArray[Any]) -> NDArray[np.uint8]:
