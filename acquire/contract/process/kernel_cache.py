@@ -35,7 +35,11 @@ def kernel_decorator(digest: bytes, *, inline: bool = False) -> Callable[[Compil
             dispatcher: Any = njit(cache=True, **options)(function)
         except RuntimeError:
             return cast(Compiled, njit(**options)(function))
-        dispatcher._cache._cache_file._source_stamp = digest
+        cache_file = dispatcher._cache._cache_file
+        cache_file._source_stamp = digest
+        # Numba compares its version before it unpickles the rest of an index. With the digest in it, an old index is
+        # not unpickled at all: the types that a kernel takes may have been renamed since.
+        cache_file._version = f"{cache_file._version} {digest.hex()}"
         return cast(Compiled, dispatcher)
 
     return compiled

@@ -15,20 +15,31 @@ from tests import ROOT
 _OUTER = """
 from pathlib import Path
 from acquire.contract.process.kernel_cache import digest_of, kernel_decorator
-from inner import value
+from inner import TYPE, value
 
 @kernel_decorator(digest_of(Path(__file__).parent.glob("*.py")))
-def outer(x):
-    return x + value()
+def outer(given):
+    return given.x + value()
 
-print(outer(1), sum(outer.stats.cache_hits.values()))
+print(outer(TYPE(1)), sum(outer.stats.cache_hits.values()))
+"""
+_INNER = """
+from typing import NamedTuple
+from numba import njit
+
+class TYPE(NamedTuple):
+    x: int
+
+@njit
+def value():
+    return VALUE
 """
 
 
-def run(folder: Path, value: int) -> tuple[int, int]:
+def run(folder: Path, value: int, type_name: str = "Sample") -> tuple[int, int]:
     """The kernel's result and how often it was taken from the cache, in a process of its own."""
-    (folder / "outer.py").write_text(_OUTER)
-    (folder / "inner.py").write_text(f"from numba import njit\n\n@njit\ndef value():\n    return {value}\n")
+    (folder / "outer.py").write_text(_OUTER.replace("TYPE", type_name))
+    (folder / "inner.py").write_text(_INNER.replace("TYPE", type_name).replace("VALUE", str(value)))
     environ = {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "PATH": ""}
     done = subprocess.run(
         [sys.executable, folder / "outer.py"], capture_output=True, text=True, env=environ, check=True
@@ -41,6 +52,11 @@ def test_a_kernel_is_compiled_once_and_again_when_a_file_that_it_calls_into_chan
     assert run(tmp_path, value=10) == (11, 0)
     assert run(tmp_path, value=10) == (11, 1)
     assert run(tmp_path, value=20) == (21, 0)
+
+
+def test_a_type_that_a_kernel_takes_may_be_renamed(tmp_path):
+    assert run(tmp_path, value=10) == (11, 0)
+    assert run(tmp_path, value=10, type_name="PixelSample") == (11, 0)
 
 
 def test_kernels_work_where_no_folder_can_hold_their_cache(monkeypatch: pytest.MonkeyPatch) -> None:
