@@ -13,7 +13,7 @@ from acquire.contract.calibration import PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.plan import SweepPlan
-from acquire.contract.scan_data.report_file import NoiseFound, Report, Speed, SweepChecks, read_report, report_bytes
+from acquire.contract.scan_data.report_file import NoiseFound, Speed
 from process.cloud.cloud import PointCloud
 from process.edge_fit.noise_model import NoiseModel
 from process.results.report import (
@@ -113,30 +113,6 @@ def test_a_damaged_truth_is_named(tmp_path):
         truth_errors(tmp_path / "truth.h5", cloud_at(np.zeros((0, 3)), []), contrast=70)
 
 
-def report() -> Report:
-    return Report(
-        counts={"points": 3},
-        timings_s={"fold": 0.5},
-        contrast_histogram=[0] * 256,
-        speed=Speed(9.5),
-        outcome="complete",
-        digest="ab",
-        sweep=SweepChecks(drift_px=0.5),
-        warnings=[],
-        settings={"contrast": 70},
-        versions={},
-    )
-
-
-def test_a_report_of_an_earlier_version_can_be_read(tmp_path):
-    (tmp_path / "report.json").write_bytes(report_bytes(report()))
-    fields = json.loads((tmp_path / "report.json").read_text())
-    for later in ("noise", "calibration", "processor_s"):
-        del fields[later]
-    (tmp_path / "report.json").write_text(json.dumps(fields))
-    assert read_report(tmp_path / "report.json") == report()
-
-
 def test_the_stages_of_a_reconstruction_are_timed_by_clock_and_processor():
     timings = Timings()
     for _ in range(2):
@@ -144,29 +120,6 @@ def test_the_stages_of_a_reconstruction_are_timed_by_clock_and_processor():
             sum(range(1000))
     clock, processor = timings.rounded()
     assert set(clock) == set(processor) == {"fold"} and clock["fold"] > 0 and processor["fold"] >= 0
-
-
-def test_a_report_reads_back_as_it_was_written(tmp_path):
-    (tmp_path / "report.json").write_bytes(report_bytes(report()))
-    assert read_report(tmp_path / "report.json") == report()
-
-
-def test_what_is_not_known_stands_there_as_null(tmp_path):
-    (tmp_path / "report.json").write_bytes(report_bytes(report()))
-    found = json.loads((tmp_path / "report.json").read_text())
-    unknown = {"steps_lost": None, "brightness_change": None, "light_changed_at": None}
-    assert found["sweep"] == {"drift_px": 0.5, **unknown}
-    assert found["speed"]["ratio"] is None and found["truth"] is None
-
-
-def test_a_report_that_cannot_be_read_is_named(tmp_path):
-    (tmp_path / "report.json").write_text("{}")
-    with pytest.raises(ScanFileError, match=r"report\.json"):
-        read_report(tmp_path / "report.json")
-
-
-def test_only_the_checks_that_were_measured_are_taken():
-    assert SweepChecks.of({"drift_px": 1.0, "other": 2.0}) == SweepChecks(drift_px=1.0)
 
 
 FOUND = {"crossings": 1000, "saturated": 0, "plateau_not_reached": 0, "no_dark_level": 0, "lit_at_start": 0}
