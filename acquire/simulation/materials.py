@@ -34,6 +34,7 @@ def _checks(
 ) -> float:
     """Share of white 0..1 at a point of the board, each edge softened over about a pixel."""
     u, v, w = to_local(form, x, y, z)
+    # the sides and the back of the board are white
     if w < -1e-3:
         return 1.0
     soft = BOARD_BLUR_SHARE * pixel_mm / square_mm
@@ -45,6 +46,7 @@ def _checks(
 @kernel
 def _square_wave(at: float, soft: float, cells: int) -> tuple[float, float]:
     """+1 in even cells, -1 in odd ones, and the share 0..1 that is within the pattern; linear over ``soft`` cells."""
+    # distance from the nearest printed edge within the pattern, over half the width of the soft edge
     nearest = min(max(math.floor(at + 0.5), 1.0), cells - 1.0)
     sign = 1.0 if int(nearest) % 2 == 0 else -1.0
     wave = sign * min(max((at - nearest) / (0.5 * soft), -1.0), 1.0)

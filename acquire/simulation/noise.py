@@ -21,6 +21,7 @@ _MASK_64 = 2**64 - 1
 def normal_table() -> F4:
     """Quantiles of the normal distribution at 2^14 equal steps, float32, variance exactly 1, reach 4.0."""
     count = 1 << TABLE_BITS
+    # one half mirrored: the mean of the table is exactly 0
     half = [NormalDist().inv_cdf((i + 0.5) / count) for i in range(count // 2)]
     values = np.array(half + [-value for value in reversed(half)])
     scaled: F4 = (values / values.std()).astype(np.float32)
@@ -30,6 +31,7 @@ def normal_table() -> F4:
 def frame_key(seed: int, position_steps: float, attempt: int = 0) -> np.uint64:
     """Key of a frame's noise, 64 bits, from its three counters."""
     key = 0
+    # Python integers with a mask: numpy would warn of the overflow that is wanted here
     for word in (seed, round(position_steps * POSITION_RESOLUTION), attempt):
         key = int(mix64(np.uint64(((key ^ word) + int(GOLDEN)) & _MASK_64)))
     return np.uint64(key)

@@ -84,7 +84,9 @@ def _plate_form(config: SimulationConfig) -> ObjectForm:
         half, yaw = WEDGE_HALF_MM, yaw + _heading_deg()
         tilt_x, tilt_y = tilt_x + WEDGE_TILT_DEG[0], tilt_y + WEDGE_TILT_DEG[1]
         lift, thickness = WEDGE_LIFT_MM - thickness, 2.0
+    # yaw first, then the tilts about the world's axes: a tilt means the same however the plate is turned
     rotation = _turn(0.0, tilt_y) @ _turn(0.0, 0.0, tilt_x) @ _turn(yaw)
+    # lifted so far that its lowest corner touches the stage
     if config.object != "wedge":
         lift = abs(rotation[2, 0]) * half[0] + abs(rotation[2, 1]) * half[1]
     size = (half[0], half[1], thickness / 2)
@@ -98,6 +100,7 @@ def _form(config: SimulationConfig, kind: int, origin: Vector, rotation: F8, siz
     corners = np.array([[local[i, 0], local[j, 1], local[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     world = corners @ rotation.T + place
     low, high = world.min(axis=0) - 1e-3, world.max(axis=0) + 1e-3
+    # the inverse of a rotation is its transpose: rows that turn the world into local axes
     rows = tuple(_floats(row) for row in rotation.T)
     return ObjectForm(kind, _floats(place), rows, size, _floats(low), _floats(high))  # type: ignore[arg-type]
 
@@ -171,6 +174,7 @@ def _rounded(a: float, b: float, half_a: float, half_b: float, radius: float) ->
 @kernel
 def _blend(a: float, b: float, radius: float) -> float:
     """Union of two distances with a fillet."""
+    # polynomial smooth minimum: a fillet where both distances differ by less than the radius
     h = max(radius - abs(a - b), 0.0) / radius
     return min(a, b) - h * h * radius * 0.25
 
@@ -178,6 +182,7 @@ def _blend(a: float, b: float, radius: float) -> float:
 @kernel
 def _arch(u: float, v: float, w: float) -> float:
     """Two crura that meet in an arch at u = -1.1, bow outward and end in the footplate."""
+    # a warped torus: the spread of the crura grows along u, so distances are stretched a little (STEP_SHARE)
     bow = min(max(u + 0.36, 0.0), 2.2)
     spread = v / (1.0 + 0.16 * bow - 0.045 * bow * bow)
     along = min(u + 0.42, 0.0)
@@ -207,5 +212,6 @@ def _footplate(u: float, v: float, w: float) -> float:
 @kernel
 def _stirrup(u: float, v: float, w: float) -> float:
     """A stapes, lying: head on the left, two crura around a hole, footplate on the right; 4 mm long."""
+    # a slight bend, so that the bone is not symmetric
     bent = v + 0.05 * math.sin(1.4 * u + 0.6)
     return _blend(_blend(_arch(u, bent, w), _head(u, bent, w), 0.22), _footplate(u, v, w), 0.16)

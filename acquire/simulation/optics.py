@@ -112,6 +112,7 @@ class Projector(NamedTuple):
 
 def paper_camera(config: SimulationConfig, width: int, height: int) -> PinholeCamera:
     """The paper's camera (equations 11 and 12), with the world's origin in the middle of a picture of any size."""
+    # pixel centres at integers: the principal point scales about -0.5
     sx, sy = width / FULL_WIDTH, height / FULL_HEIGHT
     matrix = np.array(
         [
@@ -123,6 +124,7 @@ def paper_camera(config: SimulationConfig, width: int, height: int) -> PinholeCa
     # printed with four digits R is not quite a rotation: take the nearest one, then turn it to our axes
     left, _, right = np.linalg.svd(np.array(PAPER_ROTATION))
     rotation = (left @ right) @ np.diag([1.0, -1.0, -1.0])
+    # T such that the world's origin projects to the middle of the picture
     middle = np.linalg.solve(matrix, [(width - 1) / 2, (height - 1) / 2, 1.0])
     distance_mm = config.camera_distance_mm
     return PinholeCamera(width, height, matrix, np.array(config.distortion), rotation, middle * distance_mm)
@@ -136,6 +138,7 @@ def paper_projector(config: SimulationConfig, um_per_microstep: float) -> Projec
     edge = np.cross(normal, [0.0, 0.0, 1.0])
     edge /= np.linalg.norm(edge)
     axis = np.cross(normal, edge)
+    # corner(t) of equation 15, shifted so that the middle of the sweep lies in the middle of the picture
     corner = np.array(CORNER_MIDWAY_MM) - travel * HALF_SWEEP_MM
     pattern_radius_mm = config.slide_radius_mm * LENS_FOCAL_MM / LENS_TO_SLIDE_MM
     apex_distance_mm = LENS_FOCAL_MM * pattern_radius_mm / config.slide_radius_mm
@@ -208,6 +211,7 @@ def arc_interval(projector: Projector, x: float, y: float, z: float, inside_mm: 
     b = reach * per_reach - lead * per_lead - side * per_side
     c = reach**2 - lead**2 - side**2
     root = b * b - a * c
+    # no real solution: the cone passes by; a >= 0 cannot be for a cone this narrow that moves across its axis
     if root <= 0 or a >= 0:
         return np.inf, -np.inf
     first, last = (-b + math.sqrt(root)) / a, (-b - math.sqrt(root)) / a

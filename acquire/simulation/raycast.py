@@ -27,6 +27,7 @@ def box_interval(low: Vector, high: Vector, start: Vector, direction: Vector) ->
     """Path lengths at which a ray enters and leaves a box along the axes; enter > leave: it misses."""
     enter, leave = 0.0, np.inf
     for axis in range(3):
+        # parallel to these two faces: no division by zero
         if direction[axis] == 0.0:
             if start[axis] < low[axis] or start[axis] > high[axis]:
                 return np.inf, -np.inf
@@ -82,6 +83,7 @@ def see_surfaces(
         direction = (rays[i, 0], rays[i, 1], rays[i, 2])
         at = (stage_z_mm - start[2]) / direction[2]
         found = walk_to_surface(form, start, direction)
+        # the nearer one of object and stage; the stage is a plane and needs no walk
         on_object[i] = found < at
         at = min(at, found)
         for axis in range(3):
@@ -122,6 +124,7 @@ def visibility_bits(
         high_free = _free(form, projector, x, y, z, first_steps + high * pitch_steps)
         change = high
         if low_free != high_free:
+            # at most one change between two coarse samples is assumed: they lie closer than any detail of the bone
             below = low
             while change - below > 1:
                 middle = (below + change) // 2

@@ -162,6 +162,7 @@ def _render(
     begin, end = np.float32(position_steps - 1.5 * travel_steps), np.float32(position_steps + 1.5 * travel_steps)
     top = np.float32(peak)
     for i in range(image.shape[0]):
+        # windows and bits were found once for the scene: most pixels need no arithmetic of light at all
         light_here = room_factor * room[i]
         if end > windows[i, 0] and begin < windows[i, 3] and bits[i] != NONE_FREE:
             share = 1.0
@@ -173,6 +174,7 @@ def _render(
         word = counter_bits(key, i)
         for c in range(image.shape[1]):
             signal = total * albedo[i, c]
+            # shot noise has the variance shot x signal; half a level is added for rounding by truncation
             noisy = signal + half + np.sqrt(read_variance + shot * signal) * table[word & _TABLE_MASK]
             word >>= _TABLE_SHIFT
             image[i, c] = np.int32(min(max(noisy, np.float32(0)), top))

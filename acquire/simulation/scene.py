@@ -94,6 +94,7 @@ def build_scene(config: SimulationConfig, *, width: int, height: int, um_per_mic
     crossing, edge_width = _crossings(projector, points)
     looks = _looks(config, form, points, on_object, config.camera_distance_mm / camera.matrix[0, 0])
     irradiance, room, facing = _light(config, form, projector, points, normals, on_object, crossing)
+    # sampled with the widest blur of the picture, so that one pitch serves all pixels
     before, pitch = _shadow_sampling(projector, float(edge_width.max()))
     bits, windows = np.empty(count, dtype=np.uint64), np.empty((count, 4), dtype=np.float32)
     raycast.find_shadows(form, projector, points, crossing, edge_width, facing, before, pitch, EDGE_SIGMAS, bits)
@@ -206,6 +207,7 @@ def _shade(
 def _shadow_sampling(projector: Projector, widest_steps: float) -> tuple[float, float]:
     """Microsteps ahead of the crossing, and between samples, that cover the longest time in the light."""
     before = EDGE_SIGMAS * widest_steps
+    # the longest way within the cone of light, with a quarter to spare for points off the focus
     deepest_mm = (projector.radius_ratio * projector.focus_mm) / projector.normal_step_mm
     longest_steps = 1.25 * deepest_mm
     return before, (longest_steps + 2 * before) / (raycast.VISIBILITY_SAMPLES - 1)

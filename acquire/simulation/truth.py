@@ -60,6 +60,7 @@ def truth(scene: SimulatedScene, first_steps: int, steps_per_frame: int, count: 
     clean = np.empty(height * width, dtype=np.bool_)
     shadows = (scene.shadow_before_steps, scene.shadow_pitch_steps)
     _extremes(scene.projector, flat, shadows, np.sort(positions), low, high, clean)
+    # OpenCV's grey, as the fold makes it
     grey = scene.albedo @ GREY.astype(np.float32) if scene.albedo.shape[2] == 3 else scene.albedo[..., 0]
     full, dark = (_counts(scene, grey, share.reshape(height, width)) for share in (high, low))
     margin = PLATEAU_SIGMAS * edge_width
@@ -115,6 +116,7 @@ def _extremes(
         for k in range(np.searchsorted(positions, windows[i, 0]), np.searchsorted(positions, windows[i, 3])):
             share = lamp_share(projector, light, shadows, i, positions[k], 0.0)
             low[i], high[i] = min(low[i], share), max(high[i], share)
+            # dark before and on the plateau: further frames change neither extreme
             if starts_dark and high[i] > PLATEAU_SHARE:
                 break
         clean[i] = high[i] > PLATEAU_SHARE and _is_clean(projector, light, shadows, i)
@@ -124,6 +126,7 @@ def _extremes(
 def _is_clean(projector: Projector, light: PixelLight, shadows: tuple[float, float], i: int) -> bool:
     """Whether the light about the crossing is what the leading edge alone lets through."""
     crossing, width = light[1][i], light[2][i]
+    # in quarters of the blur: a shadow's edge is not much sharper than the light's
     for quarter in range(-int(4 * PLATEAU_SIGMAS), int(4 * PLATEAU_SIGMAS) + 1):
         alone = normal_cdf(0.25 * quarter)
         position = crossing + 0.25 * quarter * width

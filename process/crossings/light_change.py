@@ -23,6 +23,7 @@ def marked(maps: Maps, other_light: NDArray[np.bool_]) -> Maps:
         return maps
     known = np.isfinite(maps.crossing)
     last = len(other_light) - 1
+    # a crossing lies between two frames; the later one is the first in another light
     at = np.clip(np.ceil(np.where(known, maps.crossing, 0)).astype(np.int64), 0, last)
     depends_on_it = known & (other_light[at] | other_light[np.clip(maps.last_maximum, 0, last)])
     quality = maps.quality | np.where(depends_on_it, np.uint16(Quality.OTHER_LIGHT), np.uint16(0))

@@ -84,6 +84,7 @@ def contrast_mask(
         raise ValueError(f"the contrast has to be 0 or more, not {contrast}")
     if median < 0 or (median > 0 and median % 2 == 0):
         raise ValueError(f"the median has to be 0 or an odd number of pixels, not {median}")
+    # unsigned, and maximum >= minimum: the difference cannot wrap around
     mask: NDArray[np.uint8] = (maximum - minimum >= contrast * 2 ** (bit_depth - 8)).astype(np.uint8)
     if median > 1:
         mask = np.asarray(cv2.medianBlur(mask, median), dtype=np.uint8).reshape(mask.shape)
@@ -137,6 +138,7 @@ def _columns(
     """Levels of some pixels in exactly the folded frames, of the folded signal, [frames, pixels]."""
     frames, values = read_columns(pixels)
     frames = np.asarray(frames)
+    # the file may hold more frames by now than were folded
     places = np.searchsorted(frames, folded.present)
     known = places < len(frames)
     if not known.all() or not np.array_equal(frames[places], folded.present):
@@ -151,6 +153,7 @@ def _columns(
 
 
 def _check_same(samples: Samples, columns: Samples, pixels: NDArray[np.intp]) -> None:
+    # the extremes of the whole sequence are a checksum of a kind: other frames would hardly have the same
     same = np.array_equal(samples.minimum[pixels], columns.minimum)
     if not same or not np.array_equal(samples.maximum[pixels], columns.maximum):
         raise ScanFileError(
@@ -222,6 +225,7 @@ def make_maps(
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask != 0)
     estimate_crossings(selected, samples, folded.present, *interpolation, *out)
+    # a pixel lit at the start has no crossing, whether the log knows it or not
     unknown = selected[samples.ordinal[selected] == UNKNOWN]
     flagged = unknown[(out.quality[unknown] & np.uint16(Quality.LIT_AT_START)) == 0]
     if read_columns is not None:

@@ -187,6 +187,7 @@ class EarlyEstimates:
         asked = np.maximum(search_window(start, frames)[0] + asked.astype(np.int64), frames) + LATER
         due = np.where(np.isfinite(found.columns[:, ASKED]), asked, 2 * frames - start)
         self._due[pixels] = np.minimum(due, np.iinfo(np.int32).max)
+        # as many as there is room for: the others are estimated at the end
         good = np.flatnonzero((found.outcome == FITTED) | (found.outcome == LOCAL))[: len(self._start) - self.kept]
         rows = np.arange(self.kept, self.kept + len(good))
         self._entry[pixels[good]] = rows
@@ -204,6 +205,7 @@ class EarlyEstimates:
         """Stored estimates of pixels [p] that hold for this first crossing [p] and range [p]; else NOTHING."""
         found = EdgeEstimates.empty(len(pixels))
         entry = self._entry[pixels]
+        # a brighter light later in the sweep raises S: the first crossing may have moved, or the range grown
         held = np.flatnonzero(entry >= 0)
         rows = entry[held]
         same = (self._start[rows] == start[held]) & (extent[held] <= self._table.columns[rows, MOST_EXTENT])

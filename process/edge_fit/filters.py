@@ -50,6 +50,7 @@ def too_uncertain(
     """
     if not known.any():
         return np.zeros(known.shape, np.bool_)
+    # not (sigma <= limit) instead of sigma > limit: NaN counts as too uncertain
     most = SIGMA_MEDIANS * float(np.nanmedian(sigma[known]))
     return known & ~(sigma <= np.where(several, most, max(SIGMA_FRAMES, most)))
 

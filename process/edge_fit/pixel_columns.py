@@ -34,6 +34,7 @@ def gather(frames, indices, pixels, first, end, out):
         for i in range(pixels.size):
             pixel, origin = pixels[i], first[i]
             for place in range(max(origin, begin), min(end[i], begin + FRAMES_AT_ONCE)):
+                # a constant count of channels in each branch: the inner copy is unrolled
                 if channels == 1:
                     out[i, place - origin, 0] = frames[indices[place], pixel, 0]
                 else:

@@ -111,6 +111,7 @@ def _with_measured_sigma(maps: Maps, sequence: FrameSequence, noise: NoiseModel,
     if configured <= 0:
         return maps
     known = np.flatnonzero(np.isfinite(maps.sigma))
+    # sigma of two samples is proportional to the noise about half brightness
     half = (maps.minimum.ravel()[known].astype(np.float64) + maps.maximum.ravel()[known]) / 2
     if sequence.edge == "falling":
         half = full_scale(sequence.bit_depth) - half
@@ -150,6 +151,7 @@ def _estimated(given: _FitInput, pixels: NDArray[np.int64], extent: NDArray[np.f
     def estimate(some: NDArray[np.int64]) -> EdgeEstimates:
         return estimate_pixels(sequence, weighting, pixels[some], start[some], extent[some], local=given.keep)
 
+    # the kernels release the interpreter lock, and each block writes its own pixels
     with ThreadPoolExecutor(THREADS) as pool:
         for some, part in pool.map(lambda todo: (todo[1], todo[0](todo[1])), _blocks((estimate, new), (follow, old))):
             for column, values in zip(found, part, strict=True):
@@ -174,6 +176,7 @@ def _fitted(maps: Maps, given: _FitInput, width: NDArray[np.float32]) -> Maps:
     stretch = search_window(given.start[pixels], len(given.sequence.present))
     outputs = [array.reshape(-1) for array in (crossing, sigma, quality, width)]
     conclude(pixels, *stretch, given.sequence.times, found.outcome, found.columns, *noises, kept_bits, *outputs)
+    # ``fit`` shows what the fit alone does: no two-sample crossing where it failed
     if not given.keep:
         failed = np.isfinite(crossing) & np.isnan(width)
         crossing[failed], sigma[failed] = np.nan, np.nan

@@ -84,6 +84,7 @@ def first_at_half(rows, full, least, start):
         start[i] = -1
         if high - low < least or (2 * np.int64(rows[i, 0]) >= low + high) != (full > 0):
             continue
+        # levels of a falling edge are compared from above, without making the complement
         for k in range(1, rows.shape[1]):
             twice = 2 * np.int64(rows[i, k])
             if (full > 0 and twice <= low + high) or (full == 0 and twice >= low + high):
@@ -102,6 +103,7 @@ def noise_of(
     guard = max(guard, guard_frames(frames))
     dark_end = np.where(start >= 0, start - guard, frames // 2)
     bright_begin = np.where(start >= 0, start + guard, frames // 2)
+    # without a crossing the whole sequence is flat: half of it stands for either plateau
     dark_pairs = np.clip(dark_end // 2, 0, PAIRS)
     bright_pairs = np.clip((frames - bright_begin) // 2, 0, PAIRS)
     bright_begin = np.minimum(bright_begin, frames)
@@ -180,6 +182,7 @@ class WeightingFinder:
         passed = self._high - self._low >= LEAST_COUNTS << (sequence.bit_depth - 8)
         if self._place >= self._measure_at and np.count_nonzero(long_bright & passed) >= min(ENOUGH, len(passed) // 8):
             self._measure(sequence)
+            # in vain: a repeated measurement has to be rare, it reads all frames so far
             self._measure_at = self._place * 3 // 2
 
     def _measure(self, sequence: FrameSequence) -> None:

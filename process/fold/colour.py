@@ -21,6 +21,7 @@ from process.simd import BLOCK, GREY_BLOCK, GREY_WEIGHTS, grey_block, higher_tha
 @kernel
 def grey_of_rgb(rgb, grey):
     """Grey [pixels] of rgb [pixels * 3], both uint8: the integers of OpenCV's COLOR_RGB2GRAY."""
+    # the rest of the picture that fills no block, with the same integers
     whole = grey.size - grey.size % GREY_BLOCK
     for at in range(0, whole, GREY_BLOCK):
         grey_block(rgb, 3 * at, grey, at)
@@ -68,6 +69,7 @@ class ColourOfMaximum:
     def add(self, grey: NDArray[Any], frame: NDArray[Any]) -> None:
         """Add a frame [h, w, 3] and its original grey [h, w]."""
         flat, pixels = np.ascontiguousarray(grey).reshape(-1), writable(np.ascontiguousarray(frame)).reshape(-1, 3)
+        # the first frame is a maximum everywhere, also where it is 0
         if self._highest is None:
             self._highest = flat.copy()
             self._colour[:] = pixels >> self._shift

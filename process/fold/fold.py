@@ -187,6 +187,7 @@ class Fold:
 
     def _start(self) -> None:
         (frame, *_), _ = self._buffer.waiting_frames()
+        # full scale is all ones, so the complement of a level is its XOR with it
         np.bitwise_xor(frame, self._flip, out=self._first[: self._pixels])
         start_state(self._first, self._state.reshape(-1))
 
@@ -228,6 +229,7 @@ class Fold:
         if not self._present:
             raise ValueError("nothing was folded yet")
         self._flush()
+        # copies: the maps must not change when more frames are folded
         lowest = np.minimum(self._plane(TAIL_DIP), self._plane(MINIMUM)).reshape(self._shape)
         highest = self._plane(MAXIMUM).reshape(self._shape)
         full = full_scale(self._bit_depth)
@@ -247,6 +249,7 @@ class Fold:
 
     def _samples(self, lowest: NDArray[Any], highest: NDArray[Any], mask: NDArray[np.uint8]) -> Samples:
         """Samples of each pixel, flat: copies of the state, and the logged crossings where the mask is true."""
+        # whole tiles, as the kernel takes them; the rest of the last tile is cut off below
         size = len(self._first)
         wanted = np.zeros(size, np.uint8)
         wanted[: self._pixels] = mask.ravel()

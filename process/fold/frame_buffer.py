@@ -70,6 +70,7 @@ class FrameBuffer:
 
         Always batch + 1 of each, the newest repeated: numba compiles anew for each length of a tuple.
         """
+        # the kernel folds only the waiting ones: what fills the tuple up is never read
         missing = self._batch + 1 - len(self._flats)
         return (
             tuple(self._flats + self._flats[-1:] * missing),
