@@ -87,8 +87,8 @@ def console(
     require_terminal("the console")
     config = context.obj.config()  # an invalid rig.toml is reported before the screen is drawn
     settled = choose_colours(colours)
-    from tui.console.app import run_console
     from tui.console.options import options_for
+    from tui.console.run import run_console
 
     options = dataclasses.replace(
         options_for(config),

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from textual import events
@@ -22,7 +20,7 @@ from textual.dom import DOMNode
 
 from acquire.contract.permissions import PERMISSIONS
 from tui.console.jobs import Jobs
-from tui.console.keys import STOP_KEY, keymap_path, load_keymap
+from tui.console.keys import APP_BINDINGS, QUIT_ENDS_RIG, STOP_KEY
 from tui.console.link.messages import LogMessage, Updates
 from tui.console.options import ConsoleOptions
 from tui.console.screen_table import SCREENS
@@ -34,27 +32,13 @@ from tui.console.shell import ConnectionMaker, RigConnection
 from tui.console.state.console_state import ConsoleState, OnAnswer
 from tui.console.state.session_log import local_time
 from tui.console.terminal.terminal_driver import ConsoleDriver, OutputMeter
-from tui.console.themes import THEMES
+from tui.console.terminal.themes import THEMES
 from tui.text.status_text import is_running, newest_fault
 
 POLL_S = 0.5
 """How often the terminal's link is checked."""
 RENEW_CONTROL_S = 3.0
 """Control lapses 10 s after the holder's last message."""
-BINDINGS = [
-    *[
-        Binding(str(number), f"go('{entry.name}')", entry.name, show=False, tooltip=entry.summary)
-        for number, entry in enumerate(SCREENS, 1)
-    ],
-    Binding("a", "acknowledge", "acknowledge", id="acknowledge", tooltip="take the newest fault off the banner"),
-    Binding("T", "control", "control", id="control", tooltip="take control of the rig, or release it"),
-    Binding("colon", "palette", "actions", id="palette", tooltip="all actions of all screens (also ctrl+p)"),
-    Binding("ctrl+p", "palette", "actions", show=False),
-    Binding("ctrl+t", "theme", "colours", id="theme", tooltip="next colours: dark, light, high contrast"),
-    Binding("q", "quit", "quit", id="quit", tooltip="leave; a sweep goes on without this screen"),
-    Binding("question_mark", "help", "help", show=False, id="help"),
-]
-_QUIT_ENDS_RIG = "leave, which ends the rig; during a sweep it asks first"
 
 
 class ConsoleApp(App[None]):
@@ -65,7 +49,7 @@ class ConsoleApp(App[None]):
     CSS = """
     .ascii PicturePane, .ascii Pane, .ascii Dialog > Vertical { border: ascii $primary 60%; }
     """
-    BINDINGS = [*BINDINGS]
+    BINDINGS = [*APP_BINDINGS]
 
     def __init__(
         self,
@@ -186,10 +170,10 @@ class ConsoleApp(App[None]):
 
     def actions(self) -> list[Binding]:
         """The actions that every screen has, with what leaving means here."""
-        shown = [binding for binding in BINDINGS if binding.show and self.check_action(binding.action, ())]
+        shown = [binding for binding in APP_BINDINGS if binding.show and self.check_action(binding.action, ())]
         if not self.options.owns_rig:
             return shown
-        return [replace(found, tooltip=_QUIT_ENDS_RIG) if found.action == "quit" else found for found in shown]
+        return [replace(found, tooltip=QUIT_ENDS_RIG) if found.action == "quit" else found for found in shown]
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """A read-only console cannot take control, nor acknowledge a fault."""
@@ -313,42 +297,3 @@ class ConsoleApp(App[None]):
             self.exit()
         elif not isinstance(self.screen, Confirm):
             self.push_screen(question, lambda leave: self.exit() if leave else None)
-
-
-def known_actions() -> set[str]:
-    """The ids of all bindings: the actions that may be given another key."""
-    classes: list[type[DOMNode]] = [ConsoleApp, *(screen_class(entry.name) for entry in SCREENS)]
-    found = (binding for screen in classes for binding in Binding.make_bindings(screen.BINDINGS))
-    return {binding.id for binding in found if binding.id}
-
-
-def run_console(
-    options: ConsoleOptions = ConsoleOptions(),  # noqa: B008 - frozen
-    *,
-    run_dir: Path | None = None,
-    command_timeout_s: float = 5.0,
-    on_started: Callable[[Callable[[str, str], None]], None] | None = None,
-) -> int:
-    """Run the console on this terminal until the operator leaves; returns the exit status.
-
-    ``on_started`` gets a function that logs a text with its level, from any thread.
-
-    Raises:
-        ConfigError: the operator's ``keys.toml`` cannot be used.
-    """
-    from tui.console.link.rig_link import RigLink  # noqa: PLC0415 - tests run the console without sockets
-    from tui.console.terminal.terminal import prepare_terminal  # noqa: PLC0415
-
-    options = replace(options, keymap=load_keymap(keymap_path(), known_actions))
-
-    def connect(post: Callable[[Updates], Any]) -> RigConnection:
-        return RigLink(post, run_dir=run_dir, command_timeout_s=command_timeout_s, client=options.me)
-
-    prepare_terminal()
-    app = ConsoleApp(connect, options, on_started=on_started, driver_class=ConsoleDriver)
-    if run_dir is not None:
-        app.jobs.environ["SWEEPSCOPE_RUN"] = str(run_dir)
-    app.run(mouse=options.mouse)
-    if app.return_code:
-        print("the console ended by an error; if the terminal looks odd, type: reset", file=sys.stderr)
-    return app.return_code or 0

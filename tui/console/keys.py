@@ -1,4 +1,7 @@
-"""The operator's own keys: ``keys.toml`` beside the user's rig.toml, with lines like ``"scan.start" = "S"``."""
+"""The keys that mean the same on every screen, and the operator's own keys.
+
+Those stand in ``keys.toml`` beside the user's rig.toml, in lines like ``"scan.start" = "S"``.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ import tomllib
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
+from textual.binding import Binding
+
 from acquire.contract.errors import ConfigError
 from tui.console.screen_table import SCREENS
 
@@ -16,6 +21,23 @@ RESERVED = frozenset({STOP_KEY, "question_mark", "?", "ctrl+p", ":", "colon"}) |
     str(number) for number in range(1, len(SCREENS) + 1)
 }
 """Keys that mean the same everywhere."""
+
+APP_BINDINGS = [
+    *[
+        Binding(str(number), f"go('{entry.name}')", entry.name, show=False, tooltip=entry.summary)
+        for number, entry in enumerate(SCREENS, 1)
+    ],
+    Binding("a", "acknowledge", "acknowledge", id="acknowledge", tooltip="take the newest fault off the banner"),
+    Binding("T", "control", "control", id="control", tooltip="take control of the rig, or release it"),
+    Binding("colon", "palette", "actions", id="palette", tooltip="all actions of all screens (also ctrl+p)"),
+    Binding("ctrl+p", "palette", "actions", show=False),
+    Binding("ctrl+t", "theme", "colours", id="theme", tooltip="next colours: dark, light, high contrast"),
+    Binding("q", "quit", "quit", id="quit", tooltip="leave; a sweep goes on without this screen"),
+    Binding("question_mark", "help", "help", show=False, id="help"),
+]
+"""The actions that every screen has."""
+QUIT_ENDS_RIG = "leave, which ends the rig; during a sweep it asks first"
+"""What leaving does in a console that owns the rig."""
 
 
 def keymap_path(environ: Mapping[str, str] = os.environ) -> Path:

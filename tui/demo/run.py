@@ -168,8 +168,8 @@ def _complain(text: str) -> None:
 
 def _run_on_terminal(options: DemoOptions) -> int:
     picture = picture_mode(choose_colours("auto"), ascii_only=False)
-    from tui.console.app import run_console
     from tui.console.options import options_for
+    from tui.console.run import run_console
 
     background: _DemoThread | None = None
 
