@@ -56,6 +56,7 @@ def counter_bits(key: np.uint64, counter: int) -> np.uint64:
 def lattice_value(seed: np.uint64, i: int, j: int, k: int) -> float:
     """A random number 0..1 at an integer point of space."""
     word = mix64(seed ^ (np.uint64(i) * GOLDEN)) ^ (np.uint64(j) * _MIX_1)
+    # 24 bits: as many as a float32 holds exactly
     return float(mix64(mix64(word) ^ (np.uint64(k) * _MIX_2)) >> np.uint64(40)) / 16777216.0
 
 

@@ -211,9 +211,10 @@ def arc_interval(projector: Projector, x: float, y: float, z: float, inside_mm: 
     b = reach * per_reach - lead * per_lead - side * per_side
     c = reach**2 - lead**2 - side**2
     root = b * b - a * c
-    # no real solution: the cone passes by; a >= 0 cannot be for a cone this narrow that moves across its axis
+    # no real solution: the cone passes by the point; a >= 0: the motion is along the cone, not across it
     if root <= 0 or a >= 0:
         return np.inf, -np.inf
+    # a < 0: the point is within the cone between both roots; of the double cone only the half with reach > 0 is lit
     first, last = (-b + math.sqrt(root)) / a, (-b - math.sqrt(root)) / a
     if reach + per_reach * 0.5 * (first + last) <= 0:
         return np.inf, -np.inf

@@ -124,7 +124,7 @@ def visibility_bits(
         high_free = _free(form, projector, x, y, z, first_steps + high * pitch_steps)
         change = high
         if low_free != high_free:
-            # at most one change between two coarse samples is assumed: they lie closer than any detail of the bone
+            # at most one change between two coarse samples is assumed (VISIBILITY_STRIDE)
             below = low
             while change - below > 1:
                 middle = (below + change) // 2

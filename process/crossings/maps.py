@@ -153,7 +153,7 @@ def _columns(
 
 
 def _check_same(samples: Samples, columns: Samples, pixels: NDArray[np.intp]) -> None:
-    # the extremes of the whole sequence are a checksum of a kind: other frames would hardly have the same
+    # a check of the file: other frames than the folded ones would hardly have the same extremes
     same = np.array_equal(samples.minimum[pixels], columns.minimum)
     if not same or not np.array_equal(samples.maximum[pixels], columns.maximum):
         raise ScanFileError(

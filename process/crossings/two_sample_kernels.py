@@ -185,7 +185,7 @@ def estimate_crossings(selected, samples, present, noise, probit, quantiles, cro
             quality[pixel] |= _LIT
             continue
         ordinal = samples.ordinal[pixel]
-        # NEVER or UNKNOWN: without a contrast of the pixel, or left to the file
+        # NEVER or UNKNOWN: the log has no crossing, or it has to be read from the file
         if ordinal < 0:
             continue
         after, before = present[ordinal], present[ordinal - 1]

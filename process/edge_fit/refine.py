@@ -86,6 +86,7 @@ def starts(maps: Maps, present: NDArray[np.int64]) -> NDArray[np.int64]:
     crossing = maps.crossing.ravel()
     found: NDArray[np.int64] = np.full(crossing.size, -1, np.int64)
     known = np.flatnonzero(np.isfinite(crossing))
+    # a crossing lies in (p, m]: the first present frame at or after it is m
     found[known] = np.minimum(np.searchsorted(present, crossing[known], side="left"), len(present) - 1)
     return found
 

@@ -136,7 +136,7 @@ def sharp_width_of(
 ) -> float:
     """Width in frames of the sharp edges, from the number of samples within them; else USUAL_SHARP_WIDTH."""
     known = np.flatnonzero(start >= 0)
-    known = known[:: max(1, -(-len(known) // SHARP_PIXELS))]
+    known = known[:: max(1, -(-len(known) // SHARP_PIXELS))]  # evenly chosen, rounded up
     if not len(known):
         return USUAL_SHARP_WIDTH
     first = np.maximum(start[known] - FAR, 0)
@@ -182,7 +182,7 @@ class WeightingFinder:
         passed = self._high - self._low >= LEAST_COUNTS << (sequence.bit_depth - 8)
         if self._place >= self._measure_at and np.count_nonzero(long_bright & passed) >= min(ENOUGH, len(passed) // 8):
             self._measure(sequence)
-            # in vain: a repeated measurement has to be rare, it reads all frames so far
+            # if that was not enough, the next attempt comes much later: each reads all frames so far
             self._measure_at = self._place * 3 // 2
 
     def _measure(self, sequence: FrameSequence) -> None:

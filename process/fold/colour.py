@@ -21,7 +21,7 @@ from process.simd import BLOCK, GREY_BLOCK, GREY_WEIGHTS, grey_block, higher_tha
 @kernel
 def grey_of_rgb(rgb, grey):
     """Grey [pixels] of rgb [pixels * 3], both uint8: the integers of OpenCV's COLOR_RGB2GRAY."""
-    # the rest of the picture that fills no block, with the same integers
+    # whole blocks, then the rest by the same formula
     whole = grey.size - grey.size % GREY_BLOCK
     for at in range(0, whole, GREY_BLOCK):
         grey_block(rgb, 3 * at, grey, at)

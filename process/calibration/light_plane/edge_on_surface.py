@@ -128,6 +128,7 @@ def clustered(design: F8, residual: F8, weight: F8, group: NDArray[np.intp]) -> 
     """
     unit = np.sqrt((design**2).mean(axis=0))
     rows = design / unit
+    # the sandwich: inverse normal matrix, scatter of the groups' summed gradients, inverse normal matrix
     bread = np.linalg.pinv(rows.T @ (rows * weight[:, None]), hermitian=True)
     pull = rows * (weight * residual)[:, None]
     count = int(group.max()) + 1

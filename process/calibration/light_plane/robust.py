@@ -51,6 +51,7 @@ def solve(
     """
     prior = np.ones(len(values)) if sigma is None else 1.0 / sigma
     rows, right = design * prior[:, None], values * prior
+    # columns of size 1: mm, px and t may differ by orders of magnitude
     unit = np.sqrt((rows**2).mean(axis=0))
     rows = rows / unit
     x = _start(rows, right, np.random.default_rng(seed)) if start is None else np.asarray(start) * unit
@@ -76,6 +77,7 @@ def _start(rows: F8, right: F8, generator: np.random.Generator) -> F8:
     """The random solution with the least median residual, then least squares of its better half of the rows."""
     chosen = generator.permutation(len(rows))[:FEW]
     some, some_right = rows[chosen], right[chosen]
+    # few rows: with 40 % of outliers 1.7 % of the draws of 8 rows hold none, some 7 of 400
     size = min(max(DRAW_ROWS, rows.shape[1] + 1), len(some))
     best, least = np.zeros(rows.shape[1]), np.inf
     for _ in range(DRAWS):

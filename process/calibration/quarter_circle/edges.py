@@ -190,6 +190,7 @@ def _line(x: F8, q: F8, corner: F8, directions: tuple[F8, F8], lengths: tuple[fl
     # however wide the first window is, the other edge of a narrow pattern is left alone
     chosen = inside & (np.abs(across) < min(max(3 * clear, 0.1 * lengths[0]), 0.5 * lengths[1]))
     fit = np.array([*inward, -float(inward @ corner)]) / width
+    # the first window is about the rough edge, the others about the line itself, within 1.3 widths of the blur
     for _ in range(3):
         if chosen.sum() < MIN_PIXELS or np.ptp(at[chosen]) < MIN_LENGTH_SHARE * lengths[0]:
             return None
