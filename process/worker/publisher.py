@@ -71,8 +71,11 @@ class ResultPublisher:
         self._progress = ResultProgress(scan_uid=scan_uid, version=0, folded_through=-1, expected=0, message=why)
         self._progress_ns = 0
 
-    def answer_newcomers(self) -> bool:
-        """Publish everything again for a new subscription (a client subscribes again after a gap); True if so."""
+    def answer_newcomers(self, progress: ResultProgress | None = None) -> bool:
+        """Publish everything again for a new subscription (a client subscribes again after a gap); True if so.
+
+        ``progress`` is how far the fold is now; None repeats the last.
+        """
         asked = False
         while True:
             try:
@@ -82,6 +85,7 @@ class ResultPublisher:
             asked |= subscription == _SUBSCRIBED
             self._watched = subscription != _UNSUBSCRIBED  # sent when the last one leaves
         if asked:
+            self._progress = progress or self._progress
             self._send(self._progress)
             if self._tiles is not None:
                 self._send_tiles(*self._tiles.snapshot(), snapshot=True)

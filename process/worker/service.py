@@ -17,7 +17,7 @@ import zmq
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.errors import ScanFileError, SweepscopeError
 from acquire.contract.messaging.lanes import Received, arrived, bind, connect
-from acquire.contract.messaging.messages import End, Image, Start, Status
+from acquire.contract.messaging.messages import End, Image, ResultProgress, Start, Status
 from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.contract.process.logs import follow_scan
 from acquire.contract.process.notify import Notifier
@@ -117,7 +117,7 @@ class Worker:
     def turn(self) -> None:
         """Wait at most :data:`IDLE_MS` for something to do, and do it."""
         ready = dict(self._poller.poll(self.patience_ms()))
-        if self._results in ready and self.publisher.answer_newcomers():
+        if self._results in ready and self.publisher.answer_newcomers(self._progress()):
             self._preview_wanted = True
         drained = self._live not in ready or self._drain(self._live)
         if self._status in ready and drained:  # an end must not overtake the frames that came before it
@@ -127,7 +127,10 @@ class Worker:
         now_ns = self._clock.now_ns()
         if self.publisher.progress_due(now_ns, changed=self._changed):
             self._changed = False
-            self.publisher.progress(self.scan.progress() if self.scan is not None else None, now_ns)
+            self.publisher.progress(self._progress(), now_ns)
+
+    def _progress(self) -> ResultProgress | None:
+        return None if self.scan is None else self.scan.progress()
 
     def patience_ms(self) -> int:
         """How long the next turn may wait for a message: not at all while there is work."""
