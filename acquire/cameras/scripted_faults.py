@@ -64,12 +64,13 @@ class ScriptedFaults:
     _late: list[CameraFrame] = field(default_factory=list)
     _before: CameraFrame | None = None
 
-    def begin(self) -> None:
-        """Begin the next exposure: the light may change."""
+    def begin(self) -> tuple[float, float]:
+        """Begin the next exposure, in which the light may change; returns the factors ``lamp`` and ``room``."""
         self._exposure += 1
         for verb in self._verbs():
             if verb in _LIGHTS:
                 self.lamp, self.room = _LIGHTS[verb]
+        return self.lamp, self.room
 
     def deliver(self, frame: CameraFrame) -> Iterator[Event]:
         """The frames that are really delivered for a frame."""

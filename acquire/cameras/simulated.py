@@ -47,7 +47,7 @@ class SimulatedCamera:
         self._position_steps = position_steps
         self.lost_exposures = 0
         self.scene: SimulatedScene | None = None
-        self._faults = ScriptedFaults(parse_script(simulation.faults))
+        self._faults = ScriptedFaults(parse_script(simulation.faults)) if simulation.faults else None
 
     @property
     def lamp_on(self) -> bool:
@@ -135,20 +135,21 @@ class SimulatedCamera:
         while (exposure := self._exposures.get()) is not None:
             position_steps, travel_steps, camera_frame_id, at_ns, camera_ns = exposure
             self._wait_for_exposure(at_ns)
-            self._faults.begin()
+            lamp, room = (1.0, 1.0) if self._faults is None else self._faults.begin()
             attempt = self._taken[round(position_steps)]
             self._taken[round(position_steps)] += 1
             pixels = self._renderer.render(
                 position_steps,
-                lamp=self._faults.lamp if self._lit_at(at_ns + self._exposure_ns) else 0.0,
-                room=self._faults.room,
+                lamp=lamp if self._lit_at(at_ns + self._exposure_ns) else 0.0,
+                room=room,
                 exposure_ms=self._settings.exposure_ms,
                 gain=self._settings.gain,
                 brightness=self._settings.brightness_percent,
                 attempt=attempt,
                 travel_steps=travel_steps,
             )
-            for event in self._faults.deliver(CameraFrame(pixels, camera_frame_id, at_ns, camera_ns)):
+            frame = CameraFrame(pixels, camera_frame_id, at_ns, camera_ns)
+            for event in (frame,) if self._faults is None else self._faults.deliver(frame):
                 self._sink(event)
 
     @property

@@ -123,17 +123,6 @@ def rename_new(source: Path, target: Path) -> None:
     source.rename(target)
 
 
-def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
-    """Write all of ``data`` at ``offset``; the kernel may take it in several pieces."""
-    written = os.pwrite(fd, data, offset)
-    if written == memoryview(data).nbytes:
-        return
-    view, offset = memoryview(data).cast("B")[written:], offset + written
-    while view:
-        written = os.pwrite(fd, view, offset)
-        view, offset = view[written:], offset + written
-
-
 @dataclass(frozen=True)
 class FileSystem:
     """Kind of a file system, and whether a space reservation holds on it."""

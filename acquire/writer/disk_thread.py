@@ -36,6 +36,9 @@ class DiskThread:
 
     def collect(self) -> None:
         """Hand the result of a finished job to its ``then``; nothing happens while it still runs."""
+        # read even where no job is left, or the poller would report it for ever
+        with suppress(BlockingIOError):
+            os.eventfd_read(self._wake_fd)
         if self._future is not None and self._future.done():
             self._finish()
 
@@ -59,7 +62,4 @@ class DiskThread:
         future, then = self._future, self._then
         assert future is not None and then is not None
         self._future = self._then = None
-        # the done callback runs just after the result is set; a spurious wake-up does no harm
-        with suppress(BlockingIOError):
-            os.eventfd_read(self._wake_fd)
         then(future)

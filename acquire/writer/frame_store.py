@@ -30,7 +30,7 @@ from acquire.contract.scan_data.file_layout import ScanLayout, read_layout
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
 
-from .disk import disk_error, write_at
+from .disk import disk_error
 
 Refusal = Literal["shape", "crc", "immutable", "protocol"]
 USABLE: Final = (FrameStatus.GOOD, FrameStatus.RETAKEN)
@@ -50,6 +50,17 @@ _RECORD: Final = (
 
 _UNWRITTEN: Final = {"trigger_id": -1, "camera_frame_id": -1, "exposure_start_ns": 0}
 """What a field of a frame holds before its record is written; drivers may leave it so for all frames."""
+
+
+def write_at(fd: int, data: bytes | memoryview, offset: int) -> None:
+    """Write all of ``data`` at ``offset``; the kernel may take it in several pieces."""
+    written = os.pwrite(fd, data, offset)
+    if written == memoryview(data).nbytes:
+        return
+    view, offset = memoryview(data).cast("B")[written:], offset + written
+    while view:
+        written = os.pwrite(fd, view, offset)
+        view, offset = view[written:], offset + written
 
 
 class FrameRefusedError(ScanFileError):

@@ -26,8 +26,8 @@ from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 
 from .create_file import ScanRecipe, create_file
-from .disk import disk_error, rename_new, write_at
-from .frame_store import USABLE, FrameRefusedError, ScanStore
+from .disk import disk_error, rename_new
+from .frame_store import USABLE, FrameRefusedError, ScanStore, write_at
 
 Pixels = bytes | memoryview | NDArray[Any]
 

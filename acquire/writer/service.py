@@ -123,7 +123,8 @@ class WriterService:
             AlreadyRunningError: another writer has taken over.
         """
         poller = zmq.Poller()
-        poller.register(self._disk.fileno(), zmq.POLLIN)
+        disk_fd = self._disk.fileno()
+        poller.register(disk_fd, zmq.POLLIN)
         poller.register(self._stop_fd, zmq.POLLIN)
         notifier = Notifier()
         notifier.ready("the writer waits for scans")
@@ -132,9 +133,10 @@ class WriterService:
             # a heartbeat that could not be sent goes out as soon as the daemon is connected
             poller.register(self._socket, zmq.POLLIN if sent else zmq.POLLIN | zmq.POLLOUT)
             wait_ns = max(0, self._next_beat_ns - mono_ns()) if sent else BEAT_NS
-            poller.poll(wait_ns // NS_PER_MS + 1)
+            ready = dict(poller.poll(wait_ns // NS_PER_MS + 1))
             self._drain()
-            self._disk.collect()
+            if disk_fd in ready:
+                self._disk.collect()
             self._session.start_disk_work()
             self._watch_owner()
             notifier.alive()

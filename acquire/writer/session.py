@@ -200,7 +200,7 @@ class WriterSession:
             self._sync(at_least=self._sync_every)
 
     def _sync(self, *, at_least: int) -> None:
-        if self._scan is None or self._scan.sealed or self._disk.busy or self._unsynced < at_least:
+        if self._scan is None or self._unsynced < at_least or self._scan.sealed or self._disk.busy:
             return
         self._unsynced = 0
         self._disk.submit(self._scan.sync, self._synced)

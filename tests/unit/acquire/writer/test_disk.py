@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import threading
 from pathlib import Path
 
@@ -17,9 +18,9 @@ from acquire.writer.disk import (
     free_bytes,
     rename_new,
     reserve,
-    write_at,
 )
 from acquire.writer.disk_thread import DiskThread
+from acquire.writer.frame_store import write_at
 
 
 def test_a_reserved_file_owns_its_blocks(tmp_path: Path) -> None:
@@ -82,6 +83,17 @@ def test_a_job_of_the_disk_thread_answers_on_the_thread_that_collects() -> None:
     assert disk.wait(5)
     assert answers == [(42, threading.current_thread())]
     assert not disk.busy
+    disk.close()
+
+
+def test_a_job_that_was_waited_for_does_not_wake_the_poller_for_ever() -> None:
+    disk = DiskThread()
+    disk.submit(lambda: None, lambda done: done.result())
+    assert disk.wait(5)
+    # the wake-up is written by the disk's thread, perhaps after the wait has returned
+    assert select.select([disk.fileno()], [], [], 5)[0]
+    disk.collect()
+    assert not select.select([disk.fileno()], [], [], 0)[0]
     disk.close()
 
 
