@@ -22,7 +22,7 @@ from acquire.contract.errors import SweepscopeError
 from acquire.stages.uno.framing import Block, BlockReader, encode_block
 
 from .handshake import new_nonce, shake_hands
-from .send_window import Command, SendWindow, Timing
+from .send_window import SendWindow, SerialCommand, Timing
 from .serial_io import LinkLostError, read_now, wait_readable, write_now
 from .wire_format import AckBody, Cmd, EventBody, HelloReplyBody, Msg, ReportBody, Result, unpack_report
 
@@ -121,7 +121,7 @@ class Link:
 
     def send(self, kind: Cmd, body: bytes = b"") -> Future[Block]:
         """Queue a command; the future holds its answer, or LinkLostError."""
-        command = Command(kind, body)
+        command = SerialCommand(kind, body)
         with self._lock:
             if self._closing or self._port is None or self._nonce == 0:
                 command.answer.set_exception(LinkLostError("the stage's controller is not connected"))
@@ -189,7 +189,7 @@ class Link:
         body = None if asked else self._handler.poll()
         if body is not None:
             with self._lock:
-                self._window.put(Command(Cmd.STATUS, body))
+                self._window.put(SerialCommand(Cmd.STATUS, body))
 
     def _need_port(self) -> serial.Serial:
         if self._port is None:

@@ -16,7 +16,7 @@ QUEUE_MAX = 64
 
 
 @dataclass
-class Command:
+class SerialCommand:
     """A command and the future of its answer."""
 
     kind: int
@@ -41,15 +41,15 @@ class SendWindow:
 
     def __init__(self, timing: Timing) -> None:
         self._timing = timing
-        self._waiting: deque[Command] = deque()
-        self._flying: deque[Command] = deque()
+        self._waiting: deque[SerialCommand] = deque()
+        self._flying: deque[SerialCommand] = deque()
         self._next = 0
         self._resend_at_s = 0.0
         self._wait_s = timing.resend_s
         self._asked_s = 0.0
         self.resent = 0
 
-    def put(self, command: Command) -> bool:
+    def put(self, command: SerialCommand) -> bool:
         """Queue a command; False when the queue is full."""
         if len(self._waiting) >= QUEUE_MAX:
             return False
@@ -86,7 +86,7 @@ class SendWindow:
             blocks.append(_block(command))
         return blocks
 
-    def _fits(self, command: Command) -> bool:
+    def _fits(self, command: SerialCommand) -> bool:
         """Counted from the oldest unanswered command, because the firmware remembers only RESULT_MEMORY results."""
         if not self._flying:
             return True
@@ -127,7 +127,7 @@ class SendWindow:
                 command.answer.set_result(block)
                 return
 
-    def reset(self) -> list[Command]:
+    def reset(self) -> list[SerialCommand]:
         """Begin a new session: returns everything unanswered; sequence numbers start again at 0."""
         lost = [*self._flying, *self._waiting]
         self._flying.clear()
@@ -144,5 +144,5 @@ def _answers(reply: int, command: int) -> bool:
     return reply == Msg.ACK or (reply == Msg.DIAGNOSIS and command == Cmd.DIAGNOSE)
 
 
-def _block(command: Command) -> Block:
+def _block(command: SerialCommand) -> Block:
     return Block(command.sequence, command.kind, command.body)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from acquire.stages.uno.framing import Block
-from acquire.stages.uno.send_window import QUEUE_MAX, Command, SendWindow, Timing
+from acquire.stages.uno.send_window import QUEUE_MAX, SendWindow, SerialCommand, Timing
 from acquire.stages.uno.wire_format import WINDOW_MAX, AckBody, Cmd, Msg, ReportBody, Result
 
 TIMING = Timing(resend_s=1.0, resend_max_s=2.0, gap_pause_s=0.1)
@@ -15,7 +15,7 @@ def ack(sequence, result=Result.OK, expected=None):
 
 def filled(count):
     window = SendWindow(TIMING)
-    commands = [Command(Cmd.LAMP, bytes([index])) for index in range(count)]
+    commands = [SerialCommand(Cmd.LAMP, bytes([index])) for index in range(count)]
     for command in commands:
         assert window.put(command)
     return window, commands
@@ -67,7 +67,7 @@ def test_a_gap_is_filled_at_once_but_not_in_a_storm():
 
 def test_a_report_that_nobody_asked_for_is_no_answer():
     window = SendWindow(TIMING)
-    status = Command(Cmd.STATUS, b"")
+    status = SerialCommand(Cmd.STATUS, b"")
     window.put(status)
     window.due(0.0)
     unasked = ReportBody(*([0] * 16))
@@ -87,26 +87,26 @@ def test_a_report_never_answers_a_command_that_asked_for_none():
 def test_sequence_numbers_wrap_and_start_again_with_a_session():
     window = SendWindow(TIMING)
     for index in range(300):
-        command = Command(Cmd.LAMP, b"")
+        command = SerialCommand(Cmd.LAMP, b"")
         window.put(command)
         (block,) = window.due(float(index))
         assert block.sequence == index & 0xFF
         window.take(ack(block.sequence), float(index))
         assert command.answer.done()
-    left = Command(Cmd.STOP, b"")
+    left = SerialCommand(Cmd.STOP, b"")
     window.put(left)
     assert window.reset() == [left] and window.idle
-    window.put(Command(Cmd.LAMP, b""))
+    window.put(SerialCommand(Cmd.LAMP, b""))
     assert window.due(400.0)[0].sequence == 0
 
 
 def test_the_queue_is_bounded():
     window, _ = filled(QUEUE_MAX)
-    assert not window.put(Command(Cmd.LAMP, b""))
+    assert not window.put(SerialCommand(Cmd.LAMP, b""))
 
 
 def test_bytes_in_flight_are_bounded():
     window = SendWindow(TIMING)
     for _ in range(4):
-        window.put(Command(Cmd.SEGMENT, bytes(37)))
+        window.put(SerialCommand(Cmd.SEGMENT, bytes(37)))
     assert len(window.due(0.0)) == 2
