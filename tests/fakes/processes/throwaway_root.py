@@ -55,9 +55,8 @@ printf '[Unit]\nRequires=systemd-journald.service\nAfter=systemd-journald.servic
 touch run/booting
 export container=lxc
 # not chroot: in one the kernel makes no user namespaces, and the services ask for theirs
-mkdir old
-pivot_root . old
-umount -l /old
+pivot_root . mnt
+umount -l /mnt
 exec /lib/systemd/systemd --system --unit=bare.target --show-status=no --log-target=journal-or-kmsg
 """
 
