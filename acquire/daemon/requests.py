@@ -47,7 +47,7 @@ class ScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ResumeScanRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``resume_scan``: go on with an interrupted sweep from its last commit."""
+    """``resume_scan``: go on with an interrupted or stopped sweep from its last commit."""
 
     path: Annotated[str, Meta(min_length=1, max_length=4096)]
     """Absolute path of the scan's folder or file."""

@@ -1,4 +1,7 @@
-"""Prepares to resume an interrupted scan: plan and settings come from its file, and the last frame is compared."""
+"""Prepares to resume an interrupted or stopped scan.
+
+Plan and settings come from its file; its last frame is taken again and compared.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader, read_marks
+from acquire.contract.states import Outcome
 from acquire.contract.units import UM_PER_MM
 from acquire.sweep.settings import OverlapLimits, ResumeFrom
 
@@ -42,6 +46,7 @@ def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) 
     """
     with ScanReader(scan) as reader:
         layout = reader.layout
+        _refuse_if_ended(reader)
         plan = _plan_to_go_on_with(layout, frame_format)
         _check_stage(plan, config.rig.stage)
         lock = FileLock(layout.path.parent / OWNER_LOCK_NAME, "this scan")
@@ -72,9 +77,15 @@ def _check_stage(plan: SweepPlan, stage: StageConfig) -> None:
     check_travel(plan, stage)
 
 
+def _refuse_if_ended(reader: ScanReader) -> None:
+    """What the operator stopped can go on; another end says that nothing is missing, or that it must not."""
+    if reader.layout.path.name != PARTIAL_NAME and reader.outcome != Outcome.STOPPED:
+        raise CommandRefusedError(
+            f"{reader.layout.path} is closed for good ({reader.outcome}): only an interrupted or stopped scan can go on"
+        )
+
+
 def _plan_to_go_on_with(layout: ScanLayout, frame_format: FrameFormat) -> SweepPlan:
-    if layout.path.name != PARTIAL_NAME:
-        raise CommandRefusedError(f"{layout.path} is closed for good: there is nothing to resume")
     if layout.plan is None:
         raise CommandRefusedError(f"{layout.path} has no plan: it did not come from a sweep")
     if layout.format != frame_format:
@@ -123,6 +134,7 @@ def _start_again(layout: ScanLayout, plan: SweepPlan) -> Start:
         user_json=json.dumps(layout.user),
         start_time_utc=layout.start_time,
         epoch_utc_ns=layout.epoch_utc_ns,
+        reopen=layout.path.name != PARTIAL_NAME,
     )
 
 

@@ -135,7 +135,7 @@ def create_file(folder: Path, recipe: ScanRecipe) -> tuple[Path, bool]:
             alignment_interval=_PAGE_BYTES,
         ) as file:
             _write_entry(file, recipe)
-        return path, _reserve_and_sync(path)
+        return path, reserve_and_sync(path)
 
 
 @contextmanager
@@ -164,7 +164,12 @@ def _probe(path: Path, size_bytes: int) -> None:
         path.unlink()
 
 
-def _reserve_and_sync(path: Path) -> bool:
+def reserve_and_sync(path: Path) -> bool:
+    """Reserve the space of the whole file and fsync it; False where the file system cannot reserve.
+
+    Raises:
+        OSError: no space, or another failure of the disk.
+    """
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
         reserved = reserve(fd, os.fstat(fd).st_size)

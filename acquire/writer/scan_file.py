@@ -21,11 +21,18 @@ from acquire.contract.errors import ScanFileError
 from acquire.contract.files import sync
 from acquire.contract.messaging.messages import Image, Start
 from acquire.contract.scan_data.checksums import frame_crc32, scan_digest
-from acquire.contract.scan_data.dataset_names import CHECK_ROLES, PARTIAL_NAME, SEALED_NAME, FrameStatus, find_scan_file
+from acquire.contract.scan_data.dataset_names import (
+    CHECK_ROLES,
+    COPIES_NAME,
+    PARTIAL_NAME,
+    SEALED_NAME,
+    FrameStatus,
+    find_scan_file,
+)
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import SEALED_OUTCOMES, Outcome
 
-from .create_file import ScanRecipe, create_file
+from .create_file import ScanRecipe, create_file, reserve_and_sync
 from .disk import disk_error, rename_new
 from .frame_store import USABLE, FrameRefusedError, ScanStore, write_at
 
@@ -128,6 +135,34 @@ class ScanFile(ScanStore):
             first = opened.durable_count
             opened.check_frames(first)
             opened.check_records(first)
+        return opened
+
+    @classmethod
+    def reopen(cls, folder: Path) -> ScanFile:
+        """Make a scan that was sealed as stopped partial again, so that the sweep can go on.
+
+        The rename comes before the outcome: after a crash between them recovery seals it as it was. Copies are of the
+        scan as it was, so they no longer count: the list of them is removed.
+
+        Raises:
+            ScanFileError: it was sealed with another outcome.
+            DiskError: no space for the rest of the frames, or another failure of the disk; it stays sealed.
+        """
+        sealed, partial = folder / SEALED_NAME, folder / PARTIAL_NAME
+        with ScanReader(sealed) as reader:
+            if reader.outcome != Outcome.STOPPED:
+                raise ScanFileError(f"{sealed} is sealed as {reader.outcome}: only a stopped scan can go on")
+            nbytes = reader.layout.frame_nbytes * (reader.layout.count - int(reader.present().sum()))
+        try:
+            reserved = reserve_and_sync(sealed)
+            (folder / COPIES_NAME).unlink(missing_ok=True)
+            rename_new(sealed, partial)
+            sync(folder)
+        except OSError as error:
+            raise disk_error(error, sealed, "go on with", nbytes) from None
+        opened = cls.open_existing(folder)
+        opened.reserved = reserved
+        opened.mark_outcome(Outcome.RUNNING, "")
         return opened
 
     def write_frame(self, image: Image, pixels: Pixels) -> Literal["committed", "same"]:

@@ -74,9 +74,11 @@ class WriterSession:
 
     def _scan_for(self, start: Start) -> ScanFile:
         # another daemon may announce it after another process has recovered it: read it anew
-        if self._scan is not None and (self.scan_uid, self._source) == (start.scan_uid, start.epoch):
-            _runs_again(self._scan)
-            return self._scan
+        scan = self._scan
+        is_open = scan is not None and (self.scan_uid, self._source) == (start.scan_uid, start.epoch)
+        if scan is not None and is_open and not _is_to_reopen(scan, start):
+            _runs_again(scan)
+            return scan
         if not self._disk.wait(self._seal_s):
             raise DiskError(f"the disk has not ended the scan before within {self._seal_s:g} s; look at it")
         self.leave()
@@ -305,10 +307,17 @@ def _open(start: Start) -> ScanFile:
     scan = ScanFile.open_existing(folder)
     layout = scan.layout
     if layout.scan_uid == start.scan_uid and (layout.format, layout.plan) == (start.format, start.plan):
+        if _is_to_reopen(scan, start):
+            scan.close()
+            return ScanFile.reopen(folder)
         _runs_again(scan)
         return scan
     scan.close()
     raise ScanExistsError(f"{folder} holds another scan ({layout.scan_uid}) or another plan; nothing was written")
+
+
+def _is_to_reopen(scan: ScanFile, start: Start) -> bool:
+    return start.reopen and scan.sealed and scan.outcome == Outcome.STOPPED
 
 
 def _runs_again(scan: ScanFile) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from acquire.contract.messaging.messages import End, Image, ResultEnd, ResultProgress, Status
 from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.contract.scan_data.bayer import demosaiced
+from acquire.contract.scan_data.dataset_names import PARTIAL_NAME
 from acquire.contract.states import SEALED_OUTCOMES
 from acquire.contract.units import NS_PER_MS, NS_PER_S
 from process.cloud.triangulation import rays
@@ -73,6 +74,8 @@ class LiveScan:
         self._left_alone = False
         """The results were there before this worker."""
         self._frames: ScanFrames | None = None
+        self._status_is_old = description.reopened
+        """The status may still be of the time when the scan was stopped, until it says that the scan runs."""
         self._position_um = description.planned_positions_um
         if settings.calibration and settings.light_plane:
             rays(settings.calibration.camera)  # half a second that must not be spent after the last frame
@@ -105,7 +108,11 @@ class LiveScan:
 
     def take_status(self, status: Status) -> None:
         """The end of the scan as the status has it, if its message was lost on the live lane."""
-        if not self.ended and status.scan_uid == self.description.scan_uid and status.outcome in SEALED_OUTCOMES:
+        if self.ended or status.scan_uid != self.description.scan_uid:
+            return
+        if status.outcome not in SEALED_OUTCOMES:
+            self._status_is_old = False
+        elif not self._status_is_old:
             self.end, self.ended = ScanEnd(status.outcome), True
 
     def _offer(self, frame_index: int, crc32: int, pixels: NDArray[np.generic]) -> bool:
@@ -144,6 +151,9 @@ class LiveScan:
         """The scan file; None while the writer has not made it."""
         if self._frames is None:
             self._frames = open_frames(self.description.folder, self.description.scan_uid)
+        waits = self.description.reopened and not self.ended
+        if waits and self._frames is not None and self._frames.layout.path.name != PARTIAL_NAME:
+            self.close()  # the writer has not reopened it yet: the file still says that no frame will follow
         return self._frames
 
     def catch_up(self) -> None:

@@ -37,13 +37,15 @@ class ScanDescription:
     count: int
     """Frames of the plan."""
     recorded: Recorded
+    reopened: bool = False
+    """It was stopped and sealed before, and goes on now."""
 
     @classmethod
     def of_start(cls, start: Start) -> ScanDescription:
         """The scan that a start message begins."""
         zero_id = zero_id_in(start.versions_json)
         recorded = Recorded(start.format, start.plan, start.config_toml, start.calibration_json, zero_id)
-        return cls(start.scan_uid, Path(start.path), start.plan.count, recorded)
+        return cls(start.scan_uid, Path(start.path), start.plan.count, recorded, start.reopen)
 
     @classmethod
     def of_file(cls, frames: ScanFrames) -> ScanDescription:

@@ -194,7 +194,8 @@ class Worker:
             self.scan.catch_up()
 
     def _begin(self, description: ScanDescription) -> None:
-        if self.scan is not None and self.scan.description.scan_uid == description.scan_uid:
+        same = self.scan is not None and self.scan.description.scan_uid == description.scan_uid
+        if self.scan is not None and same and not (description.reopened and self.scan.ended):
             return
         self._drop_scan()
         try:

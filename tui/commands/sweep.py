@@ -63,9 +63,9 @@ def scan(
 @click.option("--wait", is_flag=True, help="Follow the sweep to its end; exit status 4 if frames are missing.")
 @rig_options
 def resume(session: Session, scan: Path | None, wait: bool, as_json: bool) -> int:
-    """Resume a held sweep, or the interrupted sweep SCAN.
+    """Resume a held sweep, or the interrupted or stopped sweep SCAN.
 
-    An interrupted sweep goes on after its last committed frame, and only if that frame, taken again, shows the same."""
+    It goes on after its last committed frame, and only if that frame, taken again, shows the same."""
     if scan is None:
         request(session, "resume", as_json)
         return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from acquire.contract.states import Outcome
 from tui.scans.folder import ScanEntry
 
 
@@ -54,8 +55,10 @@ def why_not_now(action: str, entry: ScanEntry, work: str) -> str:
 def _why_not_in_state(action: str, entry: ScanEntry) -> str:
     if action == "open":
         return "" if entry.has_maps else "it has no maps yet: m makes them"
-    if action in ("resume", "seal") and entry.state != "interrupted":
-        return "only an interrupted scan can be resumed or sealed"
+    if action == "seal" and entry.state != "interrupted":
+        return "only an interrupted scan can be closed for good"
+    if action == "resume" and entry.state != "interrupted" and entry.outcome != Outcome.STOPPED:
+        return "only an interrupted or stopped scan can be resumed"
     if action == "recover" and entry.state == "sealed":
         return "it is sealed: there is nothing to recover"
     if entry.state == "unreadable" and action not in ("recover", "trash"):

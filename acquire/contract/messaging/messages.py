@@ -13,7 +13,7 @@ from msgspec import Meta
 from acquire.contract.plan import MAX_FRAMES, SweepPlan
 from acquire.contract.states import Outcome
 
-PROTOCOL = (1, 1)
+PROTOCOL = (1, 2)
 """Major and minor version of the wire format; another major is refused at the handshake."""
 
 MAX_SIDE_PX = 16_384
@@ -110,6 +110,8 @@ class Start(Message, frozen=True, kw_only=True, tag="start"):
     epoch_utc_ns: Int64 = 0
     """UTC minus CLOCK_MONOTONIC at the start, in ns: what to add to exposure_start_ns."""
     versions_json: Text = "{}"
+    reopen: bool = False
+    """Go on with a scan that was stopped and sealed: the writer makes it partial again. Without it a seal is final."""
 
 
 class Image(Message, frozen=True, kw_only=True, tag="image"):

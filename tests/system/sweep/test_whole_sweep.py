@@ -66,13 +66,13 @@ def assert_live_equals_reconstruct(folder, tmp_path):
             assert np.array_equal(live[name][()], again[name][()], equal_nan=live[name].dtype.kind == "f"), name
 
 
-def results_of(appliance, folder):
+def results_of(appliance, folder, outcome="complete"):
     """The final report: the outcome is known, and the comparison with the truth is made."""
     path = Path(folder) / "report.json"
 
     def final():
         report = json.loads(path.read_text()) if path.exists() else {}
-        return report if report.get("outcome") == "complete" and report.get("truth") else None
+        return report if report.get("outcome") == outcome and report.get("truth") else None
 
     return appliance.until(final, "the final report")
 
@@ -216,6 +216,26 @@ def test_an_interrupted_sweep_is_resumed_and_equals_an_undisturbed_one(appliance
     assert status.outcome == "complete" and status.triggered < COUNT - 30
     assert_frames(scan["path"], expected_frames)
     assert (Path(scan["path"]) / "overlap.png").exists()
+
+
+def test_a_sweep_that_was_stopped_goes_on_and_equals_an_undisturbed_one(appliance, expected_frames, tmp_path):
+    appliance.environ["SWEEPSCOPE_SIMULATION__TIME_SCALE"] = "0.2"
+    appliance.environ["SWEEPSCOPE_SWEEP__MAX_RATE_HZ"] = "15"
+    appliance.start("daemon", "writer", "worker")
+    with appliance.client() as client:
+        scan = appliance.scan(client)
+        for committed in (30, 60):
+            appliance.until_status(client, lambda s, n=committed: s.committed > n, "frames are committed")
+            client.request("stop")
+            stopped = appliance.finished(client, scan["scan_uid"])
+            assert stopped.outcome == "stopped" and (Path(scan["path"]) / "scan.h5").exists()
+            results_of(appliance, scan["path"], "stopped")
+            assert client.request("resume_scan", path=scan["path"]).result["scan_uid"] == scan["scan_uid"]
+            appliance.until_status(client, lambda s: s.outcome == "running", "the sweep goes on")
+        assert appliance.finished(client, scan["scan_uid"]).outcome == "complete"
+    assert_frames(scan["path"], expected_frames)
+    results_of(appliance, scan["path"])
+    assert_live_equals_reconstruct(scan["path"], tmp_path)
 
 
 def assert_partial(folder):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
 from acquire.writer.recover import Recovered, RecoverOptions, recover
 from acquire.writer.scan_file import ScanFile, create_scan
+from acquire.writer.verify import verify
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
 from tui.cli import run
 
@@ -245,6 +247,20 @@ def test_recover_killed_at_every_one_of_its_steps_is_finished_by_the_next(tmp_pa
         assert (found.state, found.outcome, found.committed) == ("sealed", "aborted", 4), f"killed at call {call}"
         assert not (folder / "scan.partial.h5").exists()
     assert call > 10
+
+
+def test_going_on_after_a_stop_killed_at_every_step_leaves_the_scan_stopped_or_resumable(tmp_path: Path) -> None:
+    died, call = True, 0
+    while died:
+        call += 1
+        folder = tmp_path / f"s{call}"
+        with closing(begin(folder, 5)) as scan:
+            scan.seal(Outcome.STOPPED)
+        died = killed_at(call, lambda folder=folder: ScanFile.reopen(folder).close())
+        found = one(folder)
+        assert (found.state, found.outcome) in (("sealed", "stopped"), ("interrupted", "interrupted")), call
+        assert found.committed == 5 and verify(folder).committed == 5
+    assert call > 3
 
 
 def test_the_command_looks_after_a_folder_of_scans_and_says_what_it_found(

@@ -6,7 +6,7 @@ import errno
 import os
 import resource
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import h5py
@@ -18,9 +18,11 @@ from acquire.contract.messaging.messages import FrameFormat, Start
 from acquire.contract.scan_data.dataset_names import CREATING_PREFIX, FrameStatus
 from acquire.contract.scan_data.reader import ScanReader
 from acquire.contract.states import Outcome
+from acquire.writer import scan_file
 from acquire.writer.create_file import creating_path
 from acquire.writer.disk import DiskError, DiskFullError
 from acquire.writer.frame_store import FrameRefusedError
+from acquire.writer.recover import RecoverOptions, recover
 from acquire.writer.scan_file import ScanExistsError, ScanFile, ScanIncompleteError, create_scan
 from acquire.writer.verify import verify
 from tests.fakes.scans.frames import image_of, pixels_of, start_of
@@ -471,3 +473,72 @@ def test_an_interrupted_scan_says_so_and_stays_partial(scan: ScanFile) -> None:
         assert reader.outcome == "interrupted"
     with pytest.raises(ScanFileError, match="sealing"):
         scan.mark_outcome(Outcome.COMPLETE, "")
+
+
+# ---- going on after a stop ----
+
+
+def stopped(start: Start, frames: int = 3) -> Path:
+    """A scan of :data:`COUNT` frames that was sealed as stopped; returns its folder."""
+    with closing(create_scan(Path(start.path), start)) as made:
+        for frame_index in range(frames):
+            write(made, start, frame_index)
+        made.seal(Outcome.STOPPED, "by the operator")
+    return Path(start.path)
+
+
+def test_a_stopped_scan_goes_on_and_equals_one_that_was_never_stopped(tmp_path: Path) -> None:
+    start, whole = start_of(tmp_path / "stopped", COUNT), start_of(tmp_path / "whole", COUNT)
+    with closing(ScanFile.reopen(stopped(start))) as scan:
+        assert (scan.path.name, scan.sealed, scan.outcome, scan.committed_count) == (
+            "scan.partial.h5",
+            False,
+            "running",
+            3,
+        )
+        with pytest.raises(FrameRefusedError, match="other pixels"):
+            write(scan, start, 1, seed=9)
+        for frame_index in range(3, COUNT):
+            assert write(scan, start, frame_index) == "committed"
+        seal = scan.seal(Outcome.COMPLETE)
+    with closing(create_scan(Path(whole.path), whole)) as other:
+        fill(other, whole)
+        assert seal.digest == other.seal(Outcome.COMPLETE).digest
+    assert verify(Path(start.path)).complete and not (Path(start.path) / "scan.partial.h5").exists()
+
+
+@pytest.mark.parametrize("outcome", [Outcome.COMPLETE, Outcome.ABORTED, Outcome.FAILED])
+def test_a_scan_that_ended_otherwise_stays_sealed(start: Start, outcome: Outcome) -> None:
+    with closing(create_scan(Path(start.path), start)) as scan:
+        fill(scan, start)
+        scan.seal(outcome)
+    before = (Path(start.path) / "scan.h5").read_bytes()
+    with pytest.raises(ScanFileError, match=f"sealed as {outcome}"):
+        ScanFile.reopen(Path(start.path))
+    assert (Path(start.path) / "scan.h5").read_bytes() == before
+
+
+def test_copies_of_the_stopped_scan_no_longer_count(start: Start) -> None:
+    folder = stopped(start)
+    (folder / "copies.json").write_text("[]")
+    ScanFile.reopen(folder).close()
+    assert not (folder / "copies.json").exists()
+
+
+def test_a_stopped_scan_whose_space_was_given_back_reserves_it_again_or_stays_sealed(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = stopped(start)
+    list(recover(folder, RecoverOptions(compact=True)))
+    held = (folder / "scan.h5").stat().st_blocks
+
+    def no_space(_path: Path) -> bool:
+        raise OSError(errno.ENOSPC, "no space")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(scan_file, "reserve_and_sync", no_space)
+        with pytest.raises(DiskFullError, match="needed"):
+            ScanFile.reopen(folder)
+    assert verify(folder).ok and (folder / "scan.h5").exists()
+    with closing(ScanFile.reopen(folder)) as scan:
+        assert scan.reserved and scan.path.stat().st_blocks > held

@@ -81,9 +81,14 @@ def test_the_golden_bytes_of_version_1_0_still_mean_the_same(name):
     assert decode((GOLDEN / "protocol-1" / f"{name}.bin").read_bytes()) == replace(MESSAGES[name], protocol=(1, 0))
 
 
-@pytest.mark.parametrize("name", MESSAGES)
+@pytest.mark.parametrize("name", sorted(path.stem for path in (GOLDEN / "protocol-1.1").iterdir()))
 def test_the_golden_bytes_of_version_1_1_still_mean_the_same(name):
-    golden = (GOLDEN / "protocol-1.1" / f"{name}.bin").read_bytes()
+    assert decode((GOLDEN / "protocol-1.1" / f"{name}.bin").read_bytes()) == replace(MESSAGES[name], protocol=(1, 1))
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_golden_bytes_of_version_1_2_still_mean_the_same(name):
+    golden = (GOLDEN / "protocol-1.2" / f"{name}.bin").read_bytes()
     assert decode(golden) == MESSAGES[name]
     assert encode(MESSAGES[name]) == golden
 
@@ -95,7 +100,7 @@ def test_a_newer_minor_version_with_a_key_that_we_do_not_know_is_read():
 
 def test_another_major_version_is_refused_and_both_are_named():
     fields = msgpack.unpackb(encode(MESSAGES["hello"])) | {"protocol": [2, 0]}
-    with pytest.raises(ProtocolMismatchError, match=r"2\.0.*1\.1"):
+    with pytest.raises(ProtocolMismatchError, match=r"2\.0.*1\.2"):
         decode(msgpack.packb(fields))
 
 

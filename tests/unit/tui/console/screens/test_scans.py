@@ -135,14 +135,16 @@ def test_a_running_scan_is_never_touched(folder):
         lock.release()
 
 
-def test_resume_is_sent_for_an_interrupted_scan_only(folder):
+def test_resume_is_sent_for_an_interrupted_or_stopped_scan_only(folder):
     async def script(console):
         await console.connect()
         await listed(console, "cut")
         await console.press("r")
-        assert console.link.sent == [] and "only an interrupted scan" in console.log
+        assert console.link.sent == [] and "only an interrupted or stopped scan" in console.log
         await console.press("end", "r")
         assert console.link.sent == [("resume_scan", {"path": str(folder / "cut")})]
+        await console.press("up", "r")
+        assert console.link.sent[1:] == [("resume_scan", {"path": str(folder / "stopped")})]
 
     play(script, screen="scans", data_dir=folder)
 
