@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 from process.crossings.quality import Quality
-from process.crossings.two_sample_kernels import Samples, estimate_crossings, fill_quantiles, look_up, sample_columns
+from process.crossings.two_sample_kernels import (
+    Samples,
+    blur_of,
+    estimate_crossings,
+    fill_quantiles,
+    look_up,
+    sample_columns,
+)
 from process.pixel_layout import UNKNOWN
 
 Edge: TypeAlias = Literal["rising", "falling"]
@@ -96,6 +103,8 @@ class _Interpolation(NamedTuple):
 
     noise: float
     """Standard deviation in levels."""
+    blur: float
+    """Half the interval that a level stands for."""
     probit: bool
     quantiles: NDArray[np.float64]
     """Table for 8-bit levels with probit, else empty: an inverse normal per pixel takes longer than all the rest."""
@@ -220,7 +229,9 @@ def make_maps(
     """
     shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
     quantiles = _quantiles_8_bit() if probit and folded.bit_depth == 8 else _NO_QUANTILES
-    interpolation = _Interpolation(noise_counts * 2.0 ** (folded.bit_depth - 8), probit, quantiles)
+    count = 2.0 ** (folded.bit_depth - 8)
+    noise = noise_counts * count
+    interpolation = _Interpolation(noise, blur_of(noise, 1.0, count), probit, quantiles)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask != 0)

@@ -118,21 +118,31 @@ def normal_quantile(p):
 
 
 @kernel
-def probit_fraction(base, level, low, high):
-    """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 1) / noise.
+def probit_fraction(base, level, low, high, blur):
+    """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 2 blur) / noise.
 
-    base, level: the two samples; low, high: levels of the plateaus.
+    base, level: the two samples; low, high: levels of the plateaus; blur: see ``blur_of``.
     """
-    span = high - low + 1.0
-    return fraction_between(_quantile_of(base - low, span), _quantile_of(level - low, span), span)
+    span = high - low + 2.0 * blur
+    return fraction_between(_quantile_of(base - low, span, blur), _quantile_of(level - low, span, blur), span)
 
 
 @inlined_kernel
-def _quantile_of(above, span):
-    # the level stands for an interval of one count: its middle, half a count away from shares 0 and 1, where z is
-    # infinite
-    least = 0.5 / span
-    return normal_quantile(min(max((above + 0.5) / span, least), 1.0 - least))
+def blur_of(noise, step, count):
+    """Half the interval that a level stands for: of one step of the levels, at most half a count of 8 bit.
+
+    Where the levels are finer than the noise (standard deviation, in levels), a sample tells no more than that: half a
+    level above the dark plateau the quantile would be a number of no meaning, and sigma would be huge. step: between
+    two levels; count: levels of one count of 8 bit.
+    """
+    return 0.5 * min(max(noise, step), count)
+
+
+@inlined_kernel
+def _quantile_of(above, span, blur):
+    # the level stands for an interval: its middle, blur away from shares 0 and 1, where z is infinite
+    least = blur / span
+    return normal_quantile(min(max((above + blur) / span, least), 1.0 - least))
 
 
 @kernel
@@ -140,7 +150,7 @@ def fill_quantiles(table):
     """Fill table[s, a] for a < s: quantile of the level a above the lowest of s levels, as in ``probit_fraction``."""
     for span in range(1, table.shape[0]):
         for above in range(span):
-            table[span, above] = _quantile_of(np.float64(above), np.float64(span))
+            table[span, above] = _quantile_of(np.float64(above), np.float64(span), 0.5)
 
 
 @kernel
@@ -162,7 +172,7 @@ def look_up(numbers, places, out):
 
 
 @kernel
-def estimate_crossings(selected, samples, present, noise, probit, quantiles, crossing, sigma, quality):
+def estimate_crossings(selected, samples, present, noise, blur, probit, quantiles, crossing, sigma, quality):
     """Algorithm 3: crossing (frame index), sigma (frames) and quality of the selected pixels, from two samples.
 
     Args:
@@ -170,8 +180,9 @@ def estimate_crossings(selected, samples, present, noise, probit, quantiles, cro
         samples: Samples.
         present: frame index of each folded frame.
         noise: standard deviation in levels.
+        blur: of ``blur_of``, in levels.
         probit: interpolate in the inverse normal of the share of the range, not in the levels.
-        quantiles: [s, a] of ``fill_quantiles``, for ranges up to its size; may be empty.
+        quantiles: [s, a] of ``fill_quantiles``, for a blur of 0.5 and ranges up to its size; may be empty.
         crossing: float64, written at selected pixels only; a pixel whose crossing is UNKNOWN is left alone.
         sigma: float32, likewise.
         quality: uint16, bits are added likewise.
@@ -203,8 +214,8 @@ def estimate_crossings(selected, samples, present, noise, probit, quantiles, cro
                 z0, z1 = quantiles[levels, samples.before[pixel] - low], quantiles[levels, samples.level[pixel] - low]
                 fraction, scatter = fraction_between(z0, z1, np.float64(levels))
             else:
-                fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high))
-            time, scatter = before + span * fraction, scatter * span * noise / (high - low + 1.0)
+                fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high), blur)
+            time, scatter = before + span * fraction, scatter * span * noise / (high - low + 2.0 * blur)
         crossing[pixel], sigma[pixel] = time, scatter
         # quality: several crossings where the pixel was down to a quarter of the range after it and rose again
         width = np.float64(high - low) / (GAUSS * step / span)

@@ -3,6 +3,7 @@
 Model: level(t) = low + height Phi((t - crossing) / width), t in frames, levels of the folded signal. Variance of a
 sample: noise[0] + noise[1] x level. Samples at noise[2] or below, or at noise[3] or above, are clipped: they say only
 that the light was at least as dark or as bright. Parameters of the fit: low, height, crossing, log(width).
+noise[4] is the step from one level that occurs to the next, noise[5] the levels of one count of 8 bit.
 
 Levenberg-Marquardt with Huber weights and weak priors on crossing and width; sigma is the root of the crossing's
 element of the inverse normal matrix. Float64, in the written order, so that results do not depend on who calls.
@@ -218,7 +219,7 @@ def fit_edge(samples, times, guess, sharp_width, noise, model):
         times: [frames] frame indices, float64.
         guess: low, height, place, width of ``initial_guess.find_edge``.
         sharp_width: width of the scan's sharp edges, in frames.
-        noise: [4] variance = noise[0] + noise[1] level; clipping levels.
+        noise: [6] variance = noise[0] + noise[1] level; clipping levels; step and count.
         model: [9] result: low, height, crossing (frames), width (frames), sigma (frames), chi squared per degree of
             freedom, the value of that which chance seldom exceeds, 1 if bright to the end of the samples, last sample
             asked for (always set).

@@ -1,6 +1,6 @@
 """Noise model of a scan: variance against level, measured in its own frames where the light does not change.
 
-Variance in levels squared of the stored depth, at least that of rounding (1/12) at every level of the scale.
+Variance in levels squared of the stored depth, at least that of rounding (step^2 / 12) at every level of the scale.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ class NoiseModel:
     slope: float
     measured: bool
     """False: taken from the configuration, because the frames do not tell."""
+    step: float = 1.0
+    """Levels from one that occurs to the next; rounding to them has a variance of step^2 / 12."""
 
     def coefficients(self) -> NDArray[np.float64]:
         """[2] floor and slope, for kernels."""
@@ -80,25 +82,29 @@ def guard_frames(frames: int) -> int:
 
 
 def model_from(found: NDArray[np.float64], full: int, fallback: NoiseModel) -> NoiseModel:
-    """Line through the medians of the figures [n, 2], binned by level; ``fallback`` where they are too few."""
+    """Line through the medians of the figures [n, 2], binned by level; ``fallback`` where they are too few.
+
+    The variance is nowhere below that of rounding to the step of ``fallback``.
+    """
+    rounding = ROUNDING_VARIANCE * fallback.step**2
     if len(found) < LEAST_FIGURES:
         return fallback
     order = np.argsort(found[:, 0], kind="stable")
     parts = np.array_split(found[order], BINS)
     level = np.array([np.median(part[:, 0]) for part in parts])
-    variance = np.maximum([np.median(part[:, 1]) for part in parts], ROUNDING_VARIANCE)
+    variance = np.maximum([np.median(part[:, 1]) for part in parts], rounding)
     if level[-1] - level[0] < 0.05 * full:
-        return NoiseModel(float(np.mean(variance)), 0.0, measured=True)
+        return NoiseModel(float(np.mean(variance)), 0.0, measured=True, step=fallback.step)
     floor, slope = _line(level, variance)
     least = min(floor, floor + slope * full)
-    if least < ROUNDING_VARIANCE:  # turn the line about its middle until it is possible at both ends
+    if least < rounding:  # turn the line about its middle until it is possible at both ends
         middle = float(np.median(level))
         pivot = floor + slope * middle
         reach = middle if floor < floor + slope * full else full - middle
-        steep = max(pivot - ROUNDING_VARIANCE, 0.0) / max(reach, 1.0)
+        steep = max(pivot - rounding, 0.0) / max(reach, 1.0)
         slope = math.copysign(min(abs(slope), steep), slope)
         floor = pivot - slope * middle
-    return NoiseModel(float(floor), float(slope), measured=True)
+    return NoiseModel(float(floor), float(slope), measured=True, step=fallback.step)
 
 
 def _line(level: NDArray[Any], variance: NDArray[Any]) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Edge estimates of many pixels: fit the edge of each, and check the samples after it for light that changes again.
 
 Rows hold the original levels of a pixel at the places first .. end - 1 (numbers of frames among the folded ones); times
-are frame indices, float64; noise [4] as in ``erf_fit_kernels``. Levels of the folded signal, float64, in the written
+are frame indices, float64; noise [6] as in ``erf_fit_kernels``. Levels of the folded signal, float64, in the written
 order.
 """
 
@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from process.crossings.quality import Quality
-from process.crossings.two_sample_kernels import probit_fraction
+from process.crossings.two_sample_kernels import blur_of, probit_fraction
 from process.edge_fit.erf_fit_kernels import SHARP, fit_edge
 from process.edge_fit.initial_guess import find_edge, sharp_samples
 from process.numba_cache import inlined_kernel, kernel
@@ -78,12 +78,13 @@ def local_probit(samples, times, place, seen, noise, found):
     high = 0.5 * (samples[place + 1] + samples[place + 2])
     if high - low < 0.5 * seen or high - low < 1.0:
         return False
-    fraction, scatter = probit_fraction(samples[place - 1], samples[place], low, high)
     span = times[place] - times[place - 1]
     spread = max(noise[0] + noise[1] * 0.5 * (low + high), 1.0 / 12.0)
+    blur = blur_of(math.sqrt(spread), noise[4], noise[5])
+    fraction, scatter = probit_fraction(samples[place - 1], samples[place], low, high, blur)
     found[LOW], found[HEIGHT] = low, high - low
     found[CROSSING] = times[place - 1] + span * fraction
-    found[SIGMA] = max(scatter * span, 0.5) * math.sqrt(spread) / (high - low + 1.0)
+    found[SIGMA] = max(scatter * span, 0.5) * math.sqrt(spread) / (high - low + 2.0 * blur)
     return True
 
 

@@ -7,7 +7,7 @@ folded ones; widths in frames; noise in levels of the stored depth.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -32,6 +32,8 @@ ENOUGH = 150
 """Pixels that have to have been bright for a while before the noise is measured."""
 LEAST_COUNTS = 20
 """Least range, in counts of 8 bit, of a pixel that the light has passed."""
+STEP_PIXELS = 1000
+"""Pixels in which the step between two levels is looked for."""
 SHARP_PIXELS = 3000
 """Pixels whose edges are counted for the width of the sharp ones."""
 SAMPLES_PER_WIDTH = 2.5631
@@ -70,9 +72,10 @@ class EdgeWeighting(NamedTuple):
     """Width of the sharp edges, in frames."""
 
     def noise_coefficients(self, sequence: FrameSequence) -> NDArray[np.float64]:
-        """[4] for the kernels: floor and slope of the variance, and the lower and upper clipping level."""
+        """[6] for the kernels: floor and slope of the variance, lower and upper clipping level, step, count."""
         lowest, highest = (0.0, np.inf) if sequence.full else (-np.inf, float(full_scale(sequence.bit_depth)))
-        return np.array([self.noise.floor, self.noise.slope, lowest, highest])
+        count = 2.0 ** (sequence.bit_depth - 8)
+        return np.array([self.noise.floor, self.noise.slope, lowest, highest, self.noise.step, count])
 
 
 @kernel
@@ -115,8 +118,25 @@ def noise_of(
             ]
         ),
         full_scale(sequence.bit_depth),
-        fallback,
+        replace(fallback, step=level_step(sequence, pixels)),
     )
+
+
+def level_step(sequence: FrameSequence, pixels: NDArray[np.int64]) -> float:
+    """Least difference of two levels that occur in some pixels, at most one count of 8 bit; 1 in 8 bit.
+
+    A camera of 12 bit may fill only each 16th level of a file of 16: its rounding is that of 12 bit.
+    """
+    if sequence.bit_depth == 8:
+        return 1.0
+    seen = np.zeros(full_scale(sequence.bit_depth) + 1, np.bool_)
+    some = pixels[:: max(1, -(-len(pixels) // STEP_PIXELS))]
+    for place in range(0, len(sequence.present), STEP):
+        first = np.full(len(some), place)
+        seen[sequence.columns(some, first, np.minimum(first + STEP, len(sequence.present)))] = True
+    levels = np.flatnonzero(seen)
+    least = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
+    return min(least, 2.0 ** (sequence.bit_depth - 8))
 
 
 def _figures(
