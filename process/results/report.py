@@ -38,8 +38,9 @@ from process.edge_fit.noise_model import ROUNDING_VARIANCE, NoiseModel
 from process.edge_fit.refine import Refined
 
 from .fold_cursor import CursorCounts
+from .nothing_found import OTHER_EDGE_SHARE, other_edge_words
 from .scan_frames import ScanFrames
-from .settings import Settings
+from .settings import Edge, Settings
 
 logger = logging.getLogger(__name__)
 
@@ -48,15 +49,16 @@ SECONDS_PER_DAY = 86_400.0
 _COUNT_NAMES = {name: f"quality_{name}" for name in (str(bit.name).lower() for bit in Quality)}
 """The fold's names of pixels by quality bit -> those in the report, where ``from_file`` already means frames."""
 
+_LIT = "lit_at_start"
 _COMMON_FAULTS = (
     ("saturated", 0.005, "are saturated, their plateau is not known: less exposure or gain"),
     ("plateau_not_reached", 0.02, "were still within the light's edge at the last frame: sweep further"),
     ("no_dark_level", 0.05, "have no dark level: begin the sweep earlier, keep stray light out"),
-    ("lit_at_start", 0.05, "were lit in the first frame already and have no point: begin the sweep earlier"),
+    (_LIT, 0.05, "were lit in the first frame already and have no point: begin the sweep earlier"),
     ("several", 0.1, "see the light more than once (shadows, reflections): their points may be wrong"),
     ("filtered", 0.05, "were filtered as uncertain or lonely: more light would keep them"),
 )
-"""Quality bit, the share of a scan's crossings from which on it is worth a warning, and the warning."""
+"""Quality bit, the share of a scan's pixels over the contrast from which on it is worth a warning, and the warning."""
 
 
 def make_report(
@@ -71,10 +73,12 @@ def make_report(
     digest: str,
     checks: SweepChecks,
     more_counts: dict[str, int],
+    nothing: str,
 ) -> Report:
     """The report of a finished reconstruction, without timings and without the comparison with the truth.
 
-    ``digest`` is that of the folded frames; ``more_counts`` are counts that only the caller knows.
+    ``digest`` is that of the folded frames; ``more_counts`` are counts that only the caller knows;
+    ``nothing`` as in ``Results``.
     """
     layout, maps, other_light = frames.layout, refined.maps, frames.other_light()
     noise = None if settings.method == "linear" else noise_found(refined.noise, _full_of(settings, frames))
@@ -92,11 +96,12 @@ def make_report(
         digest=digest,
         sweep=checks if checks != SweepChecks() else _recorded_checks(frames, digest),
         warnings=[
+            *([nothing] if nothing else []),
             *settings.warnings,
             *damage_warnings(frames.damaged),
             *(no_cloud_warnings(settings, cloud_path) if cloud is None else ()),
             *age_warnings(settings, calibration),
-            *quality_warnings(maps.counts, noise, shadow=settings.edge == "falling"),
+            *(() if nothing else quality_warnings(maps.counts, noise, edge=settings.edge)),
             *light_warnings(other_light, maps.counts),
         ],
         settings={name: getattr(settings, name) for name in ("contrast", "median", "edge", "method", "noise_counts")},
@@ -188,17 +193,22 @@ def age_warnings(settings: Settings, used: CalibrationUsed | None) -> list[str]:
     ]
 
 
-def quality_warnings(counts: dict[str, int], noise: NoiseFound | None, *, shadow: bool = False) -> list[str]:
+def quality_warnings(counts: dict[str, int], noise: NoiseFound | None, *, edge: Edge = "rising") -> list[str]:
     """Sentences on what many pixels of a scan have in common; counts as in ``Maps.counts``.
 
-    shadow: the edge of a shadow is swept through a lit room (falling edge), nothing has to be dark.
+    With a falling edge, that of a shadow through a lit room, nothing has to be dark.
     """
-    crossings = max(counts["crossings"], 1)
+    pixels = max(counts["over_contrast"], 1)
+    skipped = {"no_dark_level"} if edge == "falling" else set()
+    if counts.get(_LIT, 0) > OTHER_EDGE_SHARE * pixels:
+        skipped.add(_LIT)
     warnings = [
-        f"{counts[name]} pixels ({100 * counts[name] / crossings:.1f} % of the crossings) {text}"
+        f"{counts[name]} pixels ({100 * counts[name] / pixels:.1f} % of those over the contrast) {text}"
         for name, share, text in _COMMON_FAULTS
-        if counts.get(name, 0) > share * crossings and not (shadow and name == "no_dark_level")
+        if counts.get(name, 0) > share * pixels and name not in skipped
     ]
+    if _LIT in skipped:
+        warnings.append(other_edge_words(counts, edge))
     if noise is not None and not noise.measured and counts["crossings"]:
         warnings.append(f"too few pixels to measure the noise: sigma rests on noise_counts, {noise.read:.2g} counts")
     return warnings

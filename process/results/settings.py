@@ -87,6 +87,8 @@ class Settings:
     """``the scan``, or the name of the file given instead; empty without one."""
     calibration_sha256: str = ""
     """Of its text."""
+    edge_is_known: bool = True
+    """False: nobody said which edge it is; the default was taken."""
 
     @property
     def live_method(self) -> Literal["linear", "probit"]:
@@ -139,6 +141,7 @@ def settle(recorded: Recorded, options: ReconstructOptions) -> Settings:
         warnings=tuple(warnings),
         calibration_source=source,
         calibration_sha256=hashlib.sha256(text.encode()).hexdigest() if calibration else "",
+        edge_is_known=options.edge is not None or plane is not None,
     )
 
 

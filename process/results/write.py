@@ -23,6 +23,7 @@ from process.edge_fit.early_estimates import EarlyEstimates
 
 from .final_maps import cloud_of, final_maps
 from .fold_cursor import FoldCursor
+from .nothing_found import why_nothing
 from .report import find_truth, frame_counts, make_report
 from .scan_frames import ScanFrames
 from .settings import Settings
@@ -66,6 +67,8 @@ class Results:
     cloud: PointCloud | None
     """None without a light plane."""
     report: Report
+    nothing: str = ""
+    """Why there is no point (without a light plane: no crossing), and what to try; empty where there is one."""
 
 
 def write_results(
@@ -96,6 +99,7 @@ def write_results(
         refined = final_maps(cursor, frames, settings, early)
     with timings.stage("cloud"):
         cloud = cloud_of(refined.maps, settings, cursor.folded, frames.field("position_um"))
+    nothing = why_nothing(refined.maps, settings, cloud, frames.layout.format)
     digest = frames.digest()
     with timings.stage("write_cloud"):
         if cloud is not None:
@@ -125,12 +129,13 @@ def write_results(
             digest=digest,
             checks=checks or SweepChecks(),
             more_counts=more_counts or {},
+            nothing=nothing,
         )
         truth = find_truth(frames, cloud, settings) if compare else None
     clock_s, processor_s = timings.rounded()
     report = msgspec.structs.replace(report, truth=truth, timings_s=clock_s, processor_s=processor_s)
     write_result(paths.report, report_bytes(report))
-    return Results(paths, cloud, report)
+    return Results(paths, cloud, report, nothing)
 
 
 def map_arrays(maps: Maps) -> dict[str, NDArray[Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -265,3 +266,44 @@ def test_twelve_bit_frames_give_the_same_points_as_their_eight_bits(make_scan, t
 def test_options_are_immutable():
     with pytest.raises(dataclasses.FrozenInstanceError):
         ReconstructOptions().contrast = 3  # type: ignore[misc]
+
+
+def test_a_falling_edge_is_found_where_nobody_said_which(make_scan):
+    scan = make_scan([255 - frame for frame in edge_frames(COUNT, WIDTH, HEIGHT)], calibration=False)
+    summary = reconstruct(scan, ReconstructOptions(contrast=50))
+    report = summary.results.report
+    assert report.settings["edge"] == "falling" and report.counts["crossings"] > 1000 and not summary.nothing
+    assert any("taken for a falling one" in words for words in summary.warnings)
+
+
+def test_an_edge_that_was_asked_for_is_kept_and_the_other_one_named(make_scan):
+    scan = make_scan([255 - frame for frame in edge_frames(COUNT, WIDTH, HEIGHT)], calibration=False)
+    summary = reconstruct(scan, ReconstructOptions(contrast=50, edge="rising"))
+    assert summary.results.report.counts["crossings"] == 0 and "--edge falling" in summary.nothing
+    assert summary.warnings[0] == summary.nothing and not any("%" in words for words in summary.warnings)
+
+
+def test_a_rising_edge_stays_rising(make_scan):
+    summary = reconstruct(make_scan(calibration=False), ReconstructOptions(contrast=50))
+    assert summary.results.report.settings["edge"] == "rising" and not summary.nothing
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "said"),
+    [
+        (edge_frames(COUNT, WIDTH, HEIGHT), {"contrast": 255}, "try --contrast"),
+        ([np.full((HEIGHT, WIDTH), 60, np.uint8)] * COUNT, {}, "does the light sweep"),
+        ([frame.astype(np.uint16) for frame in edge_frames(COUNT, WIDTH, HEIGHT)], {}, "--bit-depth"),
+    ],
+)
+def test_a_result_without_a_crossing_says_why_and_what_to_try(make_scan, frames, options, said):
+    summary = reconstruct(make_scan(frames), ReconstructOptions(**options))
+    assert summary.points == 0 and said in summary.nothing
+
+
+def test_a_calibration_of_other_frames_is_the_reason_for_no_point(make_scan):
+    text = json.loads(calibration_json(WIDTH, HEIGHT))
+    planes = [[1.0, 0.0, 0.0, 0.001 * k] for k in range(5)]
+    text["light_plane"] = {"kind": "per-frame", "parameter": "frame", "first_frame": 500, "planes": planes}
+    summary = reconstruct(make_scan(calibration=json.dumps(text)), ReconstructOptions(contrast=50))
+    assert summary.points == 0 and "has planes for 500 to 504" in summary.nothing

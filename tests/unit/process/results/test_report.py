@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import h5py
@@ -122,7 +123,15 @@ def test_the_stages_of_a_reconstruction_are_timed_by_clock_and_processor():
     assert set(clock) == set(processor) == {"fold"} and clock["fold"] > 0 and processor["fold"] >= 0
 
 
-FOUND = {"crossings": 1000, "saturated": 0, "plateau_not_reached": 0, "no_dark_level": 0, "lit_at_start": 0}
+FOUND = {
+    "over_contrast": 1000,
+    "past_s_in_first": 0,
+    "crossings": 1000,
+    "saturated": 0,
+    "plateau_not_reached": 0,
+    "no_dark_level": 0,
+    "lit_at_start": 0,
+}
 FOUND |= {"several": 0, "filtered": 0}
 
 
@@ -143,11 +152,24 @@ def test_a_scan_without_peculiarities_is_not_warned_of():
 )
 def test_what_many_pixels_have_in_common_is_said_in_words(name, word):
     (said,) = quality_warnings(FOUND | {name: 123}, None)
-    assert said.startswith("123 pixels (12.3 % of the crossings)") and word in said
+    assert said.startswith("123 pixels (12.3 % of those over the contrast)") and word in said
 
 
 def test_a_shadow_needs_no_dark():
-    assert quality_warnings(FOUND | {"no_dark_level": 500}, None, shadow=True) == []
+    assert quality_warnings(FOUND | {"no_dark_level": 500}, None, edge="falling") == []
+
+
+@pytest.mark.parametrize(("edge", "other"), [("rising", "falling"), ("falling", "rising")])
+def test_pixels_that_begin_beyond_half_brightness_point_to_the_other_edge(edge, other):
+    found = FOUND | {"crossings": 1, "past_s_in_first": 999, "lit_at_start": 999}
+    (said,) = quality_warnings(found, None, edge=edge)
+    assert f"--edge {other}" in said and "begin the sweep earlier" not in said
+
+
+def test_no_share_is_beyond_a_hundred_percent():
+    found = FOUND | {"crossings": 1} | dict.fromkeys(("saturated", "no_dark_level", "lit_at_start"), 1000)
+    shares = [float(share) for share in re.findall(r"\(([\d.]+) %", " ".join(quality_warnings(found, None)))]
+    assert shares and max(shares) <= 100
 
 
 def test_noise_that_was_not_measured_is_said():
