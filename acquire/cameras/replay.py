@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acquire.cameras.image_files import format_of, list_pictures, read_picture
 from acquire.contract.config.model import RigConfig
-from acquire.contract.errors import ConfigError
+from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
 from acquire.contract.process.clocks import mono_ns
 from acquire.contract.scan_data.reader import ScanReader
+from acquire.pictures.sequence import UnprovenError, prove_sequence
 
 from .protocol import CameraFrame, CameraInfo, CameraSettings, CameraSink
 
@@ -41,7 +41,7 @@ class ReplayCamera:
 
         Raises:
             ConfigError: camera.device names none.
-            ScanFileError: it cannot be read, or its pictures differ.
+            ScanFileError: it cannot be read, or its pictures are not proven to be a sequence.
         """
         if not self._config.camera.device:
             raise ConfigError("camera.kind = 'replay' needs camera.device: the folder of pictures or the scan to show")
@@ -53,9 +53,14 @@ class ReplayCamera:
 
     def _recording(self, path: Path) -> tuple[int, FrameFormat, ReadFrame]:
         if path.is_dir() and not any(path.glob("scan*.h5")):
-            pictures = list_pictures(path)
-            first = read_picture(pictures[0])
-            return len(pictures), format_of(first, pictures[0]), lambda k: read_picture(pictures[k])
+            try:
+                found = prove_sequence(path)
+            except UnprovenError as error:
+                raise ScanFileError(
+                    f"{error.fact}; import it ('sweepscope import --help' has the options), and name the scan in "
+                    "camera.device"
+                ) from None
+            return len(found.frames), found.format, found.read
         self._scan = scan = ScanReader(path)
         return scan.count, scan.layout.format, scan.frame
 

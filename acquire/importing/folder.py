@@ -1,30 +1,36 @@
-"""Imports a folder of pictures as a sealed scan; refuses a folder that is not one series, naming the first odd file."""
+"""Imports a folder of pictures, or a TIFF stack, as a sealed scan, once it is proven to be one sequence."""
 
 from __future__ import annotations
 
 import json
+import os
 import uuid
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 from numpy.typing import NDArray
 
-from acquire.cameras.image_files import format_of, list_pictures, read_picture
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import FrameFormat, Image, Purpose
 from acquire.contract.process.clocks import utc_now_iso
 from acquire.contract.scan_data.checksums import frame_crc32
+from acquire.contract.scan_data.dataset_names import REASON_BYTES
+from acquire.contract.scan_data.source_files import SourceFile, Sources
 from acquire.contract.states import Outcome
+from acquire.pictures.names import readable
+from acquire.pictures.sequence import Asked, PictureSequence, prove_sequence
 from acquire.writer.create_file import ScanRecipe, create_file
 from acquire.writer.scan_file import ScanExistsError, ScanFile
 
-from .original_program import look_for_original
+from .original_program import OriginalFolder, look_for_original
+
+Progress = Callable[[int, int], None]
+"""Called with (pictures done, pictures): each is looked at, then written."""
 
 _DECODERS: Final = 2
 _AHEAD: Final = 4
@@ -37,6 +43,7 @@ class ImportSummary(msgspec.Struct, frozen=True):
     path: str
     """The scan file."""
     frames: int
+    """Pictures in it."""
     format: FrameFormat
     first_frame: str
     """Name of the picture that became frame 0."""
@@ -47,12 +54,24 @@ class ImportSummary(msgspec.Struct, frozen=True):
     """Travel from one frame to the next; None: positions are not known."""
     note: str = ""
     """What a person should know; empty where there is nothing."""
+    expected: int = 0
+    """Frames of the scan, missing ones included."""
+    numbers: str = ""
+    """What the numbers in the names say; empty where they were not asked."""
+    missing: str = ""
+    """Which frames are missing, in words."""
+
+    @property
+    def complete(self) -> bool:
+        """No frame is missing."""
+        return self.frames == self.expected
 
     def words(self) -> str:
         """Summary in one line."""
         shape = f"{self.format.width} x {self.format.height} {self.format.pixel_format}, {self.format.bit_depth} bit"
-        line = f"{self.path}: {self.frames} frames of {shape}, from {self.first_frame} to {self.last_frame}"
-        return f"{line}; {self.note}" if self.note else line
+        count = f"{self.frames}" if self.complete else f"NOT COMPLETE, {self.frames} of {self.expected}"
+        line = f"{self.path}: {count} frames of {shape}, from {self.first_frame} to {self.last_frame}"
+        return "; ".join(part for part in (line, self.numbers, self.missing, self.note) if part)
 
 
 def import_folder(
@@ -63,61 +82,98 @@ def import_folder(
     purpose: Purpose = "raw",
     name: str = "",
     um_per_frame: float | None = None,
+    asked: Asked | None = None,
+    progress: Progress = lambda _done, _total: None,
 ) -> ImportSummary:
-    """Write the pictures of ``frames_dir``, in natural order of their names, as the sealed scan ``target``.
+    """Write the pictures of ``frames_dir`` as the sealed scan ``target``.
 
-    Depth and channels are kept; colour is stored as RGB. One frame is written at a time, so memory is bounded.
+    Channels are kept; colour is stored as RGB. 16-bit values are stored with the depth that they have. A few frames are
+    in memory at a time.
 
     Args:
-        frames_dir: a folder with png, bmp, jpg or tif.
+        frames_dir: a folder with png, bmp, jpg or tif, or a TIFF stack.
         target: the .h5 to make; it appears when it is whole.
         force: replace a target that is there.
         purpose: ``object`` and ``calibration`` scans need what ``raw`` ones do not.
         name: of the scan; the folder's by default.
         um_per_frame: travel of the stage from one frame to the next in um; None: as a projector.txt of the original
             program beside the pictures tells, else not known.
+        asked: how the sequence is chosen and proven, where not by default.
+        progress: see ``Progress``.
 
     Raises:
-        ScanFileError: no pictures, one that cannot be read or differs from the first (named), or a target in the way.
+        UnprovenError: the pictures are not proven to be a sequence; everything against it is in the text.
+        ScanFileError: no pictures, or a target in the way.
         DiskError: the disk refused.
     """
-    pictures = list_pictures(frames_dir)
     _check_target(target, force=force)
-    first = read_picture(pictures[0])
+    sequence = prove_sequence(frames_dir, asked, lambda done, total: progress(done, 2 * total))
+    present = [index for index, look in enumerate(sequence.frames) if look is not None]
     original = look_for_original(frames_dir) if um_per_frame is None else None
     if original is not None:
-        um_per_frame = original.um_per_frame(len(pictures))
-    note = original.note(len(pictures)) if original is not None else ""
+        um_per_frame = original.um_per_frame(len(sequence.frames))
+    note = _note(sequence, original)
     recipe = ScanRecipe(
         scan_uid=uuid.uuid4().hex,
-        format=format_of(first, pictures[0]),
-        count=len(pictures),
+        format=sequence.format,
+        count=len(sequence.frames),
         user_json=json.dumps(
             {
-                "name": name or frames_dir.resolve().name,
-                "notes": f"imported from {frames_dir.resolve()}" + (f"; {note}" if note else ""),
+                "name": name or readable(frames_dir.resolve().name),
+                "notes": "; ".join(part for part in (_origin(frames_dir), sequence.missing, note) if part),
                 "purpose": purpose,
             }
         ),
         start_time_utc=utc_now_iso(),
+        um_per_frame=um_per_frame,
+        sources=_sources(sequence),
     )
-    with _new_scan(target, recipe, force=force) as scan, closing(_decoded(pictures)) as frames:
-        for frame_index, pixels in enumerate(frames):
-            header = _header(frame_index, pixels, recipe.format, pictures[frame_index], pictures[0])
-            if um_per_frame is not None:
-                header = msgspec.structs.replace(header, position_um=frame_index * um_per_frame)
-            scan.write_frame(header, pixels)
-        seal = scan.seal(Outcome.COMPLETE, "imported")
+    with _new_scan(target, recipe, force=force) as scan, closing(_read(sequence, present)) as frames:
+        for done, (frame_index, pixels) in enumerate(zip(present, frames, strict=True), 1):
+            scan.write_frame(_header(frame_index, pixels, sequence.format, um_per_frame), pixels)
+            progress(len(present) + done, 2 * len(present))
+        seal = scan.seal(*_outcome(sequence))
     return ImportSummary(
         path=str(seal.path),
         frames=seal.committed,
         format=recipe.format,
-        first_frame=pictures[0].name,
-        last_frame=pictures[-1].name,
+        first_frame=readable(sequence.present[0].place.path.name),
+        last_frame=readable(sequence.present[-1].place.path.name),
         digest=seal.digest,
         um_per_frame=um_per_frame,
         note=note,
+        expected=recipe.count,
+        numbers=sequence.numbers,
+        missing=sequence.missing,
     )
+
+
+def _origin(frames_dir: Path) -> str:
+    return f"imported from {readable(frames_dir.resolve())}"
+
+
+def _note(sequence: PictureSequence, original: OriginalFolder | None) -> str:
+    notes = [*sequence.notes, *([original.note(len(sequence.frames))] if original is not None else [])]
+    return "; ".join(notes)
+
+
+def _outcome(sequence: PictureSequence) -> tuple[Outcome, str]:
+    """COMPLETE only where no frame is missing; the reason is cut to what the file has room for."""
+    if not sequence.missing:
+        return Outcome.COMPLETE, "imported"
+    reason = f"imported, frames are missing: {sequence.missing}".encode()[:REASON_BYTES]
+    return Outcome.STOPPED, reason.decode("utf-8", "ignore")
+
+
+def _sources(sequence: PictureSequence) -> Sources:
+    files = tuple(
+        SourceFile()
+        if look is None
+        else SourceFile(os.fsencode(look.place.path.name), look.size_bytes, look.sha256, look.place.page)
+        for look in sequence.frames
+    )
+    folder = readable(sequence.place.resolve())
+    return Sources(folder, readable(sequence.pattern), sequence.numbers, sequence.depth.words, files)
 
 
 def _check_target(target: Path, *, force: bool) -> None:
@@ -142,13 +198,13 @@ def _new_scan(target: Path, recipe: ScanRecipe, *, force: bool) -> Iterator[Scan
             creating.unlink(missing_ok=True)
 
 
-def _decoded(pictures: list[Path]) -> Generator[NDArray[Any], None, None]:
-    """Decoded pictures in order; a few are decoded ahead in threads."""
+def _read(sequence: PictureSequence, present: list[int]) -> Generator[NDArray[Any], None, None]:
+    """Frames in order; a few are read ahead in threads."""
     with ThreadPoolExecutor(_DECODERS, thread_name_prefix="decode") as pool:
         ahead: deque[Future[NDArray[Any]]] = deque()
         try:
-            for path in pictures:
-                ahead.append(pool.submit(read_picture, path))
+            for frame_index in present:
+                ahead.append(pool.submit(sequence.read, frame_index))
                 if len(ahead) >= _AHEAD:
                     yield ahead.popleft().result()
             while ahead:
@@ -158,24 +214,15 @@ def _decoded(pictures: list[Path]) -> Generator[NDArray[Any], None, None]:
                 future.cancel()
 
 
-def _header(frame_index: int, pixels: NDArray[Any], wanted: FrameFormat, path: Path, first: Path) -> Image:
+def _header(frame_index: int, pixels: NDArray[Any], form: FrameFormat, um_per_frame: float | None) -> Image:
     """Header of an imported frame, of which only the pixels are known."""
-    if pixels.shape != wanted.shape or pixels.dtype != np.dtype(wanted.dtype):
-        raise ScanFileError(
-            f"{path} is {_describe(pixels.shape, str(pixels.dtype))}, "
-            f"but {first.name} is {_describe(wanted.shape, str(np.dtype(wanted.dtype)))}: all frames must be alike"
-        )
     return Image(
         frame_index=frame_index,
         position_steps=-1,
-        position_um=float("nan"),
-        shape=list(wanted.shape),
-        dtype="|u1" if wanted.bit_depth == 8 else "<u2",
-        bit_depth=wanted.bit_depth,
-        pixel_format=wanted.pixel_format,
+        position_um=float("nan") if um_per_frame is None else frame_index * um_per_frame,
+        shape=list(form.shape),
+        dtype=form.dtype,
+        bit_depth=form.bit_depth,
+        pixel_format=form.pixel_format,
         crc32=frame_crc32(pixels),
     )
-
-
-def _describe(shape: tuple[int, ...], kind: str) -> str:
-    return f"{shape[1]} x {shape[0]} {'colour' if len(shape) == 3 else 'grey'} {kind}"

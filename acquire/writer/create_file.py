@@ -31,6 +31,7 @@ from acquire.contract.scan_data.dataset_names import (
     PROGRAM_NAME,
     SCALARS,
 )
+from acquire.contract.scan_data.source_files import Sources, bytes_needed, write_sources
 from acquire.contract.states import Outcome
 
 from .disk import disk_error, free_bytes, reserve
@@ -59,6 +60,10 @@ class ScanRecipe:
     epoch_utc_ns: int = 0
     """UTC minus CLOCK_MONOTONIC in ns."""
     versions_json: str = "{}"
+    um_per_frame: float | None = None
+    """Travel from frame to frame where there is no plan; None: not known."""
+    sources: Sources | None = None
+    """The picture files of an imported scan."""
 
     @classmethod
     def from_start(cls, start: Start) -> ScanRecipe:
@@ -97,6 +102,7 @@ class ScanRecipe:
         """Bytes of the whole file, rounded up."""
         per_frame = self.format.nbytes + sum(np.dtype(kind).itemsize for kind in FRAME_FIELDS.values()) + 8
         fixed = _METADATA_BYTES + 2 * _PAGE_BYTES + sum(map(len, self.verbatim.values()))
+        fixed += bytes_needed(self.sources) if self.sources else 0
         return self.count * per_frame + len(CHECK_ROLES) * self.format.nbytes + fixed
 
 
@@ -194,6 +200,8 @@ def _write_entry(file: h5py.File, recipe: ScanRecipe) -> None:
         _set(_fixed_bytes(entry, name, text), sha256=hashlib.sha256(text).hexdigest())
     entry.create_dataset("bit_depth", data=np.uint8(recipe.format.bit_depth))
     _fixed_bytes(entry, "pixel_format", recipe.format.pixel_format.encode())
+    if recipe.sources is not None:
+        write_sources(entry, recipe.sources)
     if recipe.plan is not None:
         _write_checks(entry, recipe)
     _write_data(entry, recipe)
@@ -229,7 +237,8 @@ def _first_values(recipe: ScanRecipe) -> dict[str, NDArray[Any]]:
     values = {name: np.zeros(recipe.count, dtype=kind) for name, kind in FRAME_FIELDS.items()}
     values["trigger_id"][:] = values["camera_frame_id"][:] = -1
     if recipe.plan is None:
-        values["position_um"][:] = np.nan
+        pitch_um = np.nan if recipe.um_per_frame is None else recipe.um_per_frame
+        values["position_um"][:] = np.arange(recipe.count) * pitch_um
         values["position_steps"][:] = -1
         values["frame_number"] = np.arange(1, recipe.count + 1, dtype="<i8")
     else:

@@ -20,6 +20,7 @@ from acquire.contract.scan_data.dataset_names import CHECK_ROLES, PARTIAL_NAME, 
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.notes import notes_of
 from acquire.contract.scan_data.reader import ScanReader
+from acquire.contract.scan_data.source_files import Sources, read_sources
 from acquire.contract.states import SEALED_OUTCOMES, Outcome, outcome_words
 from acquire.contract.units import format_bytes
 
@@ -120,6 +121,8 @@ class ScanInfo(msgspec.Struct, frozen=True):
     checks: list[str]
     """Which of the dark, ambient and repeated frames are there."""
     size_bytes: int
+    sources: Sources | None
+    """The picture files of an imported scan; None where the file keeps none."""
     measured: dict[str, float]
     """What was measured around the sweep, by name: drift_px, brightness_change, steps_lost where they are known."""
 
@@ -135,6 +138,7 @@ class ScanInfo(msgspec.Struct, frozen=True):
             f"calibration: {'in the file' if self.has_calibration else 'none in the file'}{self._age()}",
             f"check frames: {', '.join(self.checks) or 'none'}",
         ]
+        lines += self.sources.lines() if self.sources else []
         lines += [f"measured {name}: {value:g}" for name, value in self.measured.items()]
         lines += [f"{key}: {_plain(value)}" for key, value in self.user.items() if value]
         lines += [f"plan {key}: {value}" for key, value in self.plan.items()]
@@ -228,6 +232,7 @@ def info(scan: Path) -> ScanInfo:
             calibration_age_days=_calibration_age(layout),
             checks=[role for role in CHECK_ROLES if reader.check_frame(role) is not None],
             size_bytes=layout.path.stat().st_size,
+            sources=read_sources(layout.path),
             measured=reader.measured,
         )
 

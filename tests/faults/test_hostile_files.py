@@ -217,7 +217,7 @@ print(outcomes.count("refused"), outcomes.count("imported"))
 
 def import_or_refuse(frames: Path, source: random.Random) -> str:
     """Bend one picture of a folder, import it, and put the picture back as it was."""
-    from acquire.cameras.image_files import read_picture
+    from acquire.pictures.reader import read_picture
 
     picture = source.choice(sorted(frames.iterdir()))
     whole, target = picture.read_bytes(), frames.parent / "scan.h5"

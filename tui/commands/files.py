@@ -21,16 +21,45 @@ _SCAN = click.argument("scan", type=PATH)
 @click.argument("target", metavar="SCAN.h5", type=PATH)
 @click.option("--force", is_flag=True, help="Replace an existing SCAN.h5.")
 @click.option("--um-per-frame", type=click.FloatRange(-1e6, 1e6), help="Travel of the stage per frame, where known.")
+@click.option("--pattern", metavar="GLOB", default="", help="Take the pictures of these names only: 'left_*.png'.")
+@click.option("--missing-as-missing", is_flag=True, help="Keep the places of missing or unreadable pictures empty.")
+@click.option("--as-is", is_flag=True, help="Take what is there in natural order, without proof.")
+@click.option("--bit-depth", type=click.IntRange(8, 16), help="Bits used of 16-bit pictures [by their values].")
+@progress_option
 @json_option
-def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | None, as_json: bool) -> None:
-    """Make a scan file from a folder of pictures.
+def import_(
+    frames_dir: Path,
+    target: Path,
+    force: bool,
+    um_per_frame: float | None,
+    pattern: str,
+    missing_as_missing: bool,
+    as_is: bool,
+    bit_depth: int | None,
+    with_progress: bool,
+    as_json: bool,
+) -> int:
+    """Make a scan file from a folder of pictures, or from a TIFF stack.
 
-    png, bmp, jpg and tif are read in natural order of their names. A projector.txt of the original program in the
-    folder gives the travel per frame."""
+    The pictures (png, bmp, jpg, tif) must be one sequence: names that differ in one number, which counts without gaps
+    in equal steps; one size and type; camera times in the same order; no picture twice in a row. Else the folder is
+    refused, with everything that speaks against it. Names, sizes and checksums of the files are kept in the scan. A
+    projector.txt of the original program in the folder gives the travel per frame."""
     from acquire.importing.folder import import_folder
+    from acquire.pictures.sequence import Asked
 
-    summary = import_folder(frames_dir, target, force=force, um_per_frame=um_per_frame)
+    if as_is and missing_as_missing:
+        raise click.UsageError("--as-is does not know what is missing: give it or --missing-as-missing")
+    summary = import_folder(
+        frames_dir,
+        target,
+        force=force,
+        um_per_frame=um_per_frame,
+        asked=Asked(pattern, missing_as_missing, as_is, bit_depth),
+        progress=progress_printer(with_progress),
+    )
     print_json(summary) if as_json else click.echo(summary.words())
+    return 0 if summary.complete else EXIT_INCOMPLETE
 
 
 @click.command()
@@ -45,7 +74,9 @@ def import_(frames_dir: Path, target: Path, force: bool, um_per_frame: float | N
 @progress_option
 @json_option
 def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: object) -> int:
-    """Turn a scan into maps and a coloured point cloud."""
+    """Turn a scan into maps and a coloured point cloud.
+
+    Without a single point (or crossing, where there is no light plane) the status is 1, and the reason is said."""
     from process.calibration.light_plane.refit import with_matching_plane
     from process.results.reconstruct import reconstruct as run
     from process.results.settings import ReconstructOptions
@@ -54,6 +85,9 @@ def reconstruct(scan: Path, as_json: bool, with_progress: bool, **options: objec
     matched = with_matching_plane(scan, asked, lambda text: click.echo(text, err=True))
     summary = run(scan, matched, progress_printer(with_progress))
     _show_json(summary) if as_json else _show_words(summary)
+    if summary.nothing:
+        click.echo(f"sweepscope: {summary.nothing}", err=True)
+        return EXIT_FAILED
     return 0 if summary.complete else EXIT_INCOMPLETE
 
 
@@ -96,7 +130,7 @@ def _show_words(summary: Summary) -> None:
     for path in (paths.maps, paths.cloud if summary.points is not None else None, paths.report):
         if path is not None:
             click.echo(str(path))
-    for warning in summary.warnings:
+    for warning in summary.warnings if not summary.nothing else summary.warnings[1:]:
         click.echo(f"note: {warning}", err=True)
 
 
@@ -117,12 +151,20 @@ def verify(scan: Path, as_json: bool, with_progress: bool) -> int:
 
 @click.command()
 @_SCAN
+@click.option(
+    "--sources", is_flag=True, help="Print the picture files of an imported scan, as sha256sum --check reads."
+)
 @json_option
-def info(scan: Path, as_json: bool) -> None:
+def info(scan: Path, sources: bool, as_json: bool) -> None:
     """Show what a scan contains."""
     from acquire.writer.verify import info as run
 
     facts = run(scan)
+    if sources:
+        if facts.sources is None:
+            raise ScanFileError(f"{scan} does not tell which pictures it was made of: no import, or an older one")
+        click.echo(b"\n".join(facts.sources.checksum_lines()))
+        return
     print_json(facts) if as_json else click.echo("\n".join(facts.words()))
 
 

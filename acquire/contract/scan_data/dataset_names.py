@@ -63,6 +63,9 @@ SCALARS: Final[dict[str, str]] = {
 MEASURED: Final = "measured"
 """Optional fixed bytes under /entry: what was measured around the sweep (``End.checks``), JSON; empty until sealed."""
 
+SOURCES: Final = "sources"
+"""Optional group under /entry of imported scans: name, size_bytes, sha256 and page of each frame's file, shape [n]."""
+
 VERBATIM: Final = ("config", "calibration", "plan", "user")
 """Fixed bytes under /entry that never change; each has an attribute ``sha256``."""
 

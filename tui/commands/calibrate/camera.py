@@ -3,41 +3,60 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.shared import PICTURE_SUFFIXES, board_of, out_option, read_grey, save, views_options
+from tui.commands.calibrate.shared import board_of, out_option, save, views_options
 from tui.commands.context import PATH, force_option, json_option
 
-if TYPE_CHECKING:
-    pass
+
+class BoardViews(NamedTuple):
+    """The pictures of a board that can be used together."""
+
+    pictures: list[tuple[str, Any]]
+    """(name, grey levels), in natural order of their names."""
+    left_out: list[tuple[str, str]]
+    """(name, reason) of the others."""
 
 
-def read_pictures(images: tuple[Path, ...]) -> list[tuple[str, Any]]:
-    """The pictures in files and folders as (name, grey levels), in natural order of their names.
+def read_pictures(images: tuple[Path, ...]) -> BoardViews:
+    """The pictures in files and folders. Unreadable ones, and those of another size than most, are left out by name.
 
     Raises:
-        CalibrationError: no picture, or one that cannot be read.
+        CalibrationError: none is left.
     """
-    from natsort import natsorted
+    from acquire.pictures.listing import list_pictures, told
+    from acquire.pictures.names import readable
+    from acquire.pictures.reader import PictureError, read_grey
 
-    files: list[Path] = []
+    pictures: list[tuple[str, Any]] = []
+    left_out: list[tuple[str, str]] = []
     for place in images:
-        if place.is_dir():
-            files += natsorted(entry for entry in place.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES)
-        else:
-            files.append(place)
-    pictures = []
-    for file in files:
-        pixels = read_grey(file)
-        if pixels is None:
-            raise CalibrationError(f"{file} is no picture that can be read: leave it out")
-        pictures.append((file.name, pixels))
+        listing = list_pictures(place) if place.is_dir() else None
+        left_out += [(readable(name), why) for name, why in listing.odd.items()] if listing else []
+        for file in listing.paths if listing else [place]:
+            try:
+                pictures.append((readable(file.name), read_grey(file)))
+            except PictureError as error:
+                left_out.append((readable(file.name), error.why))
     if not pictures:
-        raise CalibrationError("no pictures there: name files, or a folder of png, bmp, jpg or tif")
-    return pictures
+        raise CalibrationError(f"there is no picture that can be read: {told(left_out)}")
+    return _of_one_size(pictures, left_out)
+
+
+def _of_one_size(pictures: list[tuple[str, Any]], left_out: list[tuple[str, str]]) -> BoardViews:
+    from collections import Counter
+
+    (height, width), count = Counter(pixels.shape for _, pixels in pictures).most_common(1)[0]
+    others = [
+        (name, f"is {pixels.shape[1]} x {pixels.shape[0]}, not {width} x {height} as {count} others")
+        for name, pixels in pictures
+        if pixels.shape != (height, width)
+    ]
+    same = [(name, pixels) for name, pixels in pictures if pixels.shape == (height, width)]
+    return BoardViews(same, left_out + others)
 
 
 @click.command()
@@ -68,12 +87,17 @@ def camera(
     """Calibrate the camera from pictures of a board in different tilts.
 
     IMAGES are files or folders. Views that degrade the fit are left out, with the reason."""
+    from acquire.pictures.listing import told
     from process.calibration.calibration_file import new_document
     from process.calibration.camera.calibrate import calibrate_camera
     from process.calibration.report_page import camera_page
 
     name = Path(stage).name if stage else None
-    result = calibrate_camera(read_pictures(images), board_of(squares, square_mm, kind), name, corners)
+    views = read_pictures(images)
+    for odd in views.left_out:
+        click.echo(f"left out: {told([odd])}", err=True)
+    result = calibrate_camera(views.pictures, board_of(squares, square_mm, kind), name, corners)
     document, lines = new_document(result.document()), result.lines()
     page = ("camera", camera_page(result, lines))
-    save(out, document, lines, force=force, as_json=as_json, section="camera", page=page)
+    left_out = [{"name": name, "reason": why} for name, why in views.left_out]
+    save(out, document, lines, force=force, as_json=as_json, section="camera", page=page, left_out=left_out)

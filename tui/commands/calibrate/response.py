@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.shared import PICTURE_SUFFIXES
 from tui.commands.context import PATH, Session, json_option, print_json
 
 TABLE = "exposures.csv"
@@ -45,27 +44,33 @@ def response(
 
 
 def _from_folder(folder: Path) -> tuple[list[tuple[float, Any]], int]:
-    import cv2
-    import numpy as np
+    from acquire.pictures.bit_depth import SeenValues
+    from acquire.pictures.listing import list_pictures, told
+    from acquire.pictures.reader import PictureError, read_picture
 
-    table = _table(folder / TABLE)
-    try:
-        files = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES)
-    except OSError as error:
-        raise CalibrationError(f"cannot read {folder}: {error.strerror}") from None
-    series = []
-    for path in files:
+    table, listing = _table(folder / TABLE), list_pictures(folder)
+    odd, series, seen = list(listing.odd.items()), [], SeenValues()
+    for path in listing.paths:
         match = _IN_NAME.search(path.name)
         exposure_ms = table.get(path.name, float(match.group(1).replace(",", ".")) if match else 0.0)
         if exposure_ms <= 0:
-            raise CalibrationError(f"{path}: no exposure in its name (such as 12.5ms) nor in {TABLE}")
-        pixels = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
-        if pixels is None:
-            raise CalibrationError(f"{path} is no picture that can be read: leave it out")
+            odd.append((path.name, f"has no exposure in its name (such as 12.5ms) nor in {TABLE}"))
+            continue
+        try:
+            pixels = read_picture(path)
+        except PictureError as error:
+            odd.append((path.name, error.why))
+            continue
+        seen.add(pixels)
         series.append((exposure_ms, pixels))
-    if not series:
-        raise CalibrationError(f"{folder} holds no pictures (png, bmp, jpg or tif)")
-    return series, 8 if series[0][1].dtype == np.uint8 else 16
+    if odd:
+        raise CalibrationError(f"{told(odd)}: mend them, or take them out")
+    if len({pixels.dtype for _, pixels in series}) > 1:
+        raise CalibrationError(f"the pictures in {folder} are of 8 and of 16 bit: take all with the same settings")
+    if series[0][1].dtype == "uint8":
+        return series, 8
+    depth = seen.depth()
+    return [(exposure_ms, depth.stored(pixels)) for exposure_ms, pixels in series], depth.bits
 
 
 def _table(path: Path) -> dict[str, float]:

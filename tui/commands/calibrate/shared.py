@@ -14,7 +14,6 @@ from tui.commands.context import PATH, options, print_json, size_callback
 if TYPE_CHECKING:
     from process.calibration.board.detection import Board
 
-PICTURE_SUFFIXES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff")
 METHOD = click.Choice(["linear", "probit", "fit", "auto"])
 method_option = click.option("--method", type=METHOD, default="auto", show_default=True, help="Crossing estimate.")
 edge_option = click.option("--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True)
@@ -45,13 +44,6 @@ def board_of(squares: tuple[int, int], pitch_mm: float, kind: str = "chessboard"
     if min(squares) < 3 or pitch_mm <= 0:
         raise CalibrationError("a board has at least 3 x 3 squares of a positive size: see --squares, --square-mm")
     return Board(max(squares), min(squares), pitch_mm, kind)  # type: ignore[arg-type]
-
-
-def read_grey(path: Path) -> Any:
-    """A picture as grey levels, uint8 or uint16 [h, w], not rotated; None if it cannot be read."""
-    import cv2
-
-    return cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def save(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tui.commands.calibrate.shared import board_of, read_grey, views_options
+from tui.commands.calibrate.shared import board_of, views_options
 from tui.commands.context import PATH, Session, json_option, print_json
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class CapturedViews:
         folder = self._folder
         paths = natsorted(folder.glob("*.png")) if folder is not None and folder.is_dir() else []
         for path in paths:
-            if path.name.startswith("."):
+            if path.name.startswith(".") or not path.is_file():
                 continue
             key = (path.name, path.stat().st_mtime_ns)
             found[key] = self._known.get(key) or self._read(path)
@@ -75,12 +75,15 @@ class CapturedViews:
         return set(found) != before
 
     def _read(self, path: Path) -> ViewFacts:
+        from acquire.pictures.names import readable
+        from acquire.pictures.reader import PictureError, read_grey
         from process.calibration.board.guidance import ViewFacts, assess_view
 
-        pixels = read_grey(path)
-        if pixels is None:
-            return ViewFacts(path.name, found=False, reason="it is no picture that can be read")
-        return assess_view(path.name, pixels, self._board)
+        try:
+            pixels = read_grey(path)
+        except PictureError as error:
+            return ViewFacts(readable(path.name), found=False, reason=f"it {error.why}")
+        return assess_view(readable(path.name), pixels, self._board)
 
     def facts(self, live: ViewFacts | None) -> dict[str, Any]:
         """All facts that the console shows."""
