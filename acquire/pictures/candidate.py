@@ -11,7 +11,7 @@ from acquire.contract.plan import MAX_FRAMES
 from .listing import Listing, list_pictures
 from .names import Series, choosing, listed, matching, readable, series_of
 from .numbering import Gap, number_of
-from .reader import picture_bytes, whole
+from .reader import SUFFIXES, picture_bytes, whole
 
 _EMPTY = "is empty"
 _SHOWN = 6
@@ -70,6 +70,11 @@ def candidate_in(place: Path, asked: Asked) -> Candidate:
         ScanFileError: no pictures; several series; a pattern that fits nothing.
     """
     if place.is_file():
+        if place.suffix.lower() not in SUFFIXES:
+            raise ScanFileError(
+                f"{readable(place)} is neither a folder of pictures nor a TIFF stack: take a video apart into pictures "
+                "first, for example with 'ffmpeg -i VIDEO frame_%05d.png'"
+            )
         return _stack(place, place)
     listing = _chosen(list_pictures(place), asked)
     if len(listing.names) == 1 and not listing.odd:
@@ -163,7 +168,8 @@ def _gap_words(gaps: tuple[Gap, ...]) -> tuple[str, ...]:
 
 
 def _several(listing: Listing, kinds: list[Series], names: list[str]) -> str:
-    patterns = [found for series in kinds[:2] if len(series.members) > 1 and (found := choosing(series, names))]
+    several = [series for series in kinds if len(series.members) > 1]
+    patterns = [found for series in (several or kinds)[:2] if (found := choosing(series, names))]
     how = f"choose one with --pattern '{readable(patterns[0])}'" if patterns else "choose one with --pattern"
     if len(patterns) > 1:
         how += f" or '{readable(patterns[1])}'"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,11 @@ from .reader import SUFFIXES
 _MOST: Final = 1_000_000
 """Entries of a folder beyond which it is no folder of pictures."""
 _SUBFOLDERS: Final = 50
+OTHER_SUFFIXES: Final = frozenset(
+    {".pgm", ".ppm", ".pnm", ".gif", ".webp", ".jp2", ".heic", ".avif", ".exr", ".hdr", ".fits", ".fit", ".raw", ".dng"}
+    | {".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".czi", ".lif", ".nd2", ".avi", ".mp4", ".mov", ".mkv"}
+)
+"""Of pictures and videos that must be converted before."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,7 @@ def list_pictures(folder: Path) -> Listing:
         raise ScanFileError(
             f"{readable(folder)} holds no pictures (png, bmp, jpg or tif): give the folder of the frames"
             + _where_they_are(folder)
+            + _what_else_there_is(folder)
         )
     return Listing(folder, natsorted(names), {name: odd[name] for name in natsorted(odd)})
 
@@ -89,6 +96,15 @@ def _where_they_are(folder: Path) -> str:
         return ""
     found = [readable(name) for name in inside if _has_pictures(folder / name)]
     return f"; there are some in {listed(found)}" if found else ""
+
+
+def _what_else_there_is(folder: Path) -> str:
+    """Names the most frequent kind of picture that cannot be read."""
+    suffixes = Counter(found for path in folder.iterdir() if (found := path.suffix.lower()) in OTHER_SUFFIXES)
+    if not suffixes:
+        return ""
+    suffix, count = suffixes.most_common(1)[0]
+    return f"; it holds {count} {suffix} files: convert them to png or tif first"
 
 
 def _has_pictures(folder: Path) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -123,33 +123,47 @@ def of_other_kind(looks: Sequence[Look]) -> str:
 
 
 def doubles(looks: Sequence[Look]) -> tuple[dict[int, str], list[str]]:
-    """Pictures that are the same as the one before, pixel for pixel.
+    """Pictures that are the same as another one, pixel for pixel.
 
     Returns:
-        those in the middle: frame index -> words for its run; and words for each run at either end of the sequence,
-        where nothing need move yet or any more.
+        those in the middle that are not a frame of their own: frame index -> words. Of a run of neighbours the first
+        one is (the camera or the copy hung after it); of pictures apart from each other nobody knows which;
+        and words for each run of what is seen at an end of the sweep, where nothing need move yet or any more.
     """
     inside: dict[int, str] = {}
     ends: list[str] = []
     for run in _runs(looks):
         words = f"{_name(run[0])} to {_name(run[-1])} are the same picture {len(run)} times"
-        if run[0] is looks[0] or run[-1] is looks[-1]:
+        if _pixels_of(run[0]) in (_pixels_of(looks[0]), _pixels_of(looks[-1])):
             ends.append(words)
         else:
             inside |= dict.fromkeys((look.place.index for look in run[1:]), words)
+    for same in _apart(looks):
+        words = f"{listed([_name(look) for look in same])} are the same picture"
+        inside |= dict.fromkeys((look.place.index for look in same), words)
     return inside, ends
 
 
+def _pixels_of(look: Look) -> tuple[object, ...]:
+    return look.crc32, look.shape, look.kind
+
+
 def _runs(looks: Sequence[Look]) -> list[list[Look]]:
-    runs: list[list[Look]] = []
-    for before, after in pairwise(looks):
-        if (before.crc32, before.shape, before.kind) != (after.crc32, after.shape, after.kind):
-            continue
-        if runs and runs[-1][-1] is before:
-            runs[-1].append(after)
-        else:
-            runs.append([before, after])
-    return runs
+    runs = [list(run) for _, run in groupby(looks, key=_pixels_of)]
+    return [run for run in runs if len(run) > 1]
+
+
+def _apart(looks: Sequence[Look]) -> list[list[Look]]:
+    """Groups of same pictures, the first of each run, that are no neighbours; those without light are left out.
+
+    A scene without noise looks the same before the light comes and whenever it shines beside all objects.
+    """
+    by_pixels: dict[tuple[object, ...], list[Look]] = {}
+    for pixels, run in groupby(looks, key=_pixels_of):
+        by_pixels.setdefault(pixels, []).append(next(run))
+    for look in (looks[0], looks[-1]) if looks else ():
+        by_pixels.pop(_pixels_of(look), None)
+    return [same for same in by_pixels.values() if len(same) > 1]
 
 
 def times_against(looks: Sequence[Look]) -> str:

@@ -99,7 +99,7 @@ def prove_sequence(
     inside, ends = doubles(looks)
     if not asked.as_is:
         looks = [look for look in looks if look.place.index not in inside]
-        missing += [_doubles_words(inside)] if inside else []
+        missing += [f"{_doubles_words(inside)}, the repeated ones are left out"] if inside else []
         notes += [f"{words}: did the camera stand still?" for words in ends]
     depth = _depth(looks, seen, asked.bit_depth)
     by_index = {look.place.index: look for look in looks}

@@ -100,4 +100,7 @@ def find_scan_file(scan: Path) -> Path:
     for name in (SEALED_NAME, PARTIAL_NAME):
         if (scan / name).is_file():
             return scan / name
-    raise ScanFileError(f"{scan} holds neither {SEALED_NAME} nor {PARTIAL_NAME}: it is no scan")
+    raise ScanFileError(
+        f"{scan} holds neither {SEALED_NAME} nor {PARTIAL_NAME}: it is no scan; of a folder of pictures "
+        "'sweepscope import' makes one"
+    )

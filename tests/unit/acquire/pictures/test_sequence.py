@@ -142,3 +142,34 @@ def test_a_picture_that_changes_after_it_was_looked_at_is_refused(tmp_path):
     write(tmp_path, ["f1.png"], seed=9)
     with pytest.raises(ScanFileError, match="changed while it was read"):
         found.read(1)
+
+
+def test_a_gap_that_was_filled_with_a_copy_is_refused_or_both_become_missing(tmp_path):
+    write(tmp_path, [f"f{k}.png" for k in range(9)])
+    (tmp_path / "f6.png").write_bytes((tmp_path / "f2.png").read_bytes())
+    with pytest.raises(UnprovenError, match=r"f2\.png, f6\.png are the same picture"):
+        prove_sequence(tmp_path)
+    found = prove_sequence(tmp_path, Asked(missing_as_missing=True))
+    assert [index for index, look in enumerate(found.frames) if look is None] == [2, 6]
+
+
+def test_pictures_without_light_may_be_the_same(tmp_path):
+    write(tmp_path, [f"f{k}.png" for k in range(9)])
+    for k in (4, 8):
+        (tmp_path / f"f{k}.png").write_bytes((tmp_path / "f0.png").read_bytes())
+    assert all(prove_sequence(tmp_path).frames)
+
+
+def test_a_gap_longer_than_what_is_there_keeps_its_length(tmp_path):
+    write(tmp_path, ["f1.png", "f2.png", "f1003.png"])
+    with pytest.raises(UnprovenError, match=r"f3 to f1002 \(1000 pictures\) are missing between f2 and f1003"):
+        prove_sequence(tmp_path)
+    assert len(prove_sequence(tmp_path, Asked(missing_as_missing=True)).frames) == 1003
+
+
+def test_a_video_and_pictures_of_other_kinds_are_told_how_to_be_converted(tmp_path):
+    (tmp_path / "sweep.mp4").write_bytes(b"video")
+    with pytest.raises(ScanFileError, match="ffmpeg"):
+        prove_sequence(tmp_path / "sweep.mp4")
+    with pytest.raises(ScanFileError, match=r"1 \.mp4 files"):
+        prove_sequence(tmp_path)

@@ -62,7 +62,7 @@ def test_the_command_reads_exposures_from_names_and_fails_for_a_camera_that_is_n
 def test_a_picture_without_an_exposure_is_named(tmp_path, capsys):
     cv2.imwrite(str(tmp_path / "white.png"), series(1.0)[0])
     assert run(["calibrate", "response", str(tmp_path)]) == 1
-    assert "white.png: no exposure in its name" in capsys.readouterr().err
+    assert "white.png has no exposure in its name" in capsys.readouterr().err
 
 
 def test_the_simulated_rigs_camera_is_linear(tmp_path, monkeypatch):
