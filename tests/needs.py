@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 import platform
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -73,6 +75,15 @@ def need_genicam(*, module: bool = False) -> None:
     if platform.machine() != "x86_64":
         pytest.skip("GenICam's library has no wheel for this processor", allow_module_level=module)
     need(LIBPYTHON, module=module)
+
+
+def need_module(name: str) -> ModuleType:
+    """The Python module ``name``; where it is not installed, as :func:`need`."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        missing_here(f"not installed: {error.name} (make install-test)")
+        raise
 
 
 def missing_here(reason: str, *, module: bool = False) -> None:

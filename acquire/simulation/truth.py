@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ConfigError
 from acquire.contract.files import replace_file
+from acquire.contract.scan_data.default_plot import add_default_plot
 
 from .kernels import F4, F8, Mask, kernel
 from .optics import Projector, normal_cdf
@@ -22,6 +23,12 @@ from .scene import SimulatedScene
 PLATEAU_SIGMAS = 3.5
 """Blurs before and after the crossing that have to be in the frames for a pixel to count as visible."""
 PLATEAU_SHARE = 0.999
+_LONG_NAMES = {
+    "crossing": "true crossing (frames)",
+    "visible": "lit by the sweep and seen (0 or 1)",
+    "amplitude": "brightness range (counts of 8 bit)",
+    "edge_width": "standard deviation of the light edge (frames)",
+}
 GREY = np.array([0.299, 0.587, 0.114])
 
 
@@ -83,6 +90,7 @@ def write_truth(path: Path, truth: Truth) -> None:
         with h5py.File(temporary, "w") as file:
             for name in ("points", "crossing", "normals", "visible", "amplitude", "edge_width"):
                 file[name] = getattr(truth, name)
+            add_default_plot(file, "crossing", _LONG_NAMES)
 
     replace_file(Path(path), write)
 

@@ -186,7 +186,7 @@ def reserve_and_sync(path: Path) -> bool:
 
 
 def _write_entry(file: h5py.File, recipe: ScanRecipe) -> None:
-    file.attrs["default"] = np.bytes_("entry")
+    _set(file, NX_class="NXroot", default="entry")
     entry = file.create_group("entry")
     _set(entry, NX_class="NXentry", default="data")
     _set(entry, program_name=PROGRAM_NAME, program_version=metadata.version(PROGRAM_NAME))

@@ -13,8 +13,19 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
 
+from .default_plot import add_default_plot
+
 MAPS = ("min", "max", "mask", "crossing", "sigma", "quality", "colour")
 """Datasets: [h, w] in the frames' type, the same, u1, f8 (0-based frame index), f4 (frames), u2; u1 [h, w, 3] RGB."""
+_LONG_NAMES = {
+    "crossing": "crossing (frames)",
+    "sigma": "standard deviation of the crossing (frames)",
+    "min": "least brightness (counts)",
+    "max": "greatest brightness (counts)",
+    "mask": "enough contrast (0 or 1)",
+    "quality": "quality bits",
+    "colour": "colour",
+}
 _KINDS = {"min": "u", "max": "u", "mask": "u", "crossing": "f", "sigma": "f", "quality": "u", "colour": "u"}
 
 
@@ -55,7 +66,7 @@ def sample_step(height: int, width: int, max_samples: int) -> int:
 
 
 def write_maps(path: Path, arrays: Mapping[str, NDArray[Any]], header: MapsHeader) -> None:
-    """Write all of :data:`MAPS` (contiguous, no times stored: equal maps give equal files).
+    """Write all of :data:`MAPS` (contiguous, no times stored: equal maps give equal files) and their default plot.
 
     Raises:
         OSError: the folder cannot be written to.
@@ -63,6 +74,7 @@ def write_maps(path: Path, arrays: Mapping[str, NDArray[Any]], header: MapsHeade
     with h5py.File(path, "w", libver="latest") as file:
         for name in MAPS:
             file.create_dataset(name, data=arrays[name], track_times=False)
+        add_default_plot(file, "crossing", _LONG_NAMES)
         file.attrs.update(asdict(header))
 
 

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from plyfile import PlyData
+from plyfile import PlyData, PlyElement
 
 from acquire.contract.calibration import CameraModel, TranslatingPlane
+from acquire.contract.errors import ScanFileError
 from process.cloud.cloud import PointCloud, make_cloud
-from process.cloud.ply import VERTEX, write_ply
+from process.cloud.ply import VERTEX, read_vertices, write_ply
 from process.cloud.triangulation import plane_table, rays
-from tests.needs import OPEN3D, need
+from tests.needs import OPEN3D, need, need_module
 
 CAMERA = CameraModel(
     width=4,
@@ -117,9 +118,52 @@ def test_open3d_opens_the_file_with_points_colours_sigma_and_crossing(tmp_path):
     found = o3d.t.io.read_point_cloud(str(tmp_path / "cloud.ply"))
     assert np.array_equal(found.point.positions.numpy(), cloud.xyz)
     assert np.array_equal(found.point.colors.numpy(), cloud.rgb)
-    # it skips quality: its reader has no 16-bit type
+    assert np.array_equal(found.point["quality"].numpy().ravel(), cloud.quality)
     assert np.array_equal(found.point["sigma_um"].numpy().ravel(), cloud.sigma_um)
     assert np.array_equal(found.point["crossing"].numpy().ravel(), cloud.crossing.astype(np.float32))
+
+
+def test_meshio_opens_the_file_with_every_column(tmp_path):
+    meshio = need_module("meshio")
+    cloud = random_cloud(321)
+    write_ply(tmp_path / "cloud.ply", cloud.vertices())
+    found = meshio.read(tmp_path / "cloud.ply")
+    assert np.array_equal(found.points, cloud.xyz)
+    for name in ("sigma_um", "crossing", "quality"):
+        assert np.array_equal(found.point_data[name], cloud.vertices()[name])
+    # its uchar is signed
+    assert np.array_equal(found.point_data["red"].astype(np.uint8), cloud.rgb[:, 0])
+
+
+def test_a_cloud_of_the_version_before_is_read_by_ours(tmp_path):
+    old = np.dtype([*((name, VERTEX[name].str) for name in VERTEX.names[:-1]), ("quality", "<u2")])
+    vertices = random_cloud(50).vertices().astype(old)
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<").write(str(tmp_path / "cloud.ply"))
+    found = read_vertices(tmp_path / "cloud.ply", instead="")
+    assert found.dtype == old and np.array_equal(found, vertices)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_a_cloud_that_others_have_written_again_is_read(tmp_path, order):
+    vertices = random_cloud(50).vertices()
+    faces = np.array([([0, 1, 2],)], dtype=[("vertex_indices", "i4", (3,))])
+    parts = [PlyElement.describe(vertices, "vertex", comments=["of ours"]), PlyElement.describe(faces, "face")]
+    PlyData(parts, byte_order=order, comments=["made anew"]).write(str(tmp_path / "cloud.ply"))
+    found = read_vertices(tmp_path / "cloud.ply", instead="")
+    assert all(np.array_equal(found[name], vertices[name]) for name in VERTEX.names)
+
+
+def test_a_cloud_as_text_or_cut_short_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "cloud.ply"
+    PlyData([PlyElement.describe(random_cloud(5).vertices(), "vertex")], text=True).write(str(path))
+    with pytest.raises(ScanFileError, match="no binary PLY; do it again"):
+        read_vertices(path, instead="do it again")
+    write_ply(path, random_cloud(5).vertices())
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(ScanFileError, match="cut short: its header promises 5 points"):
+        read_vertices(path, instead="")
+    with pytest.raises(ScanFileError, match="No such file"):
+        read_vertices(tmp_path / "nothing.ply", instead="")
 
 
 def test_pymeshlab_opens_the_file_with_the_same_points_and_colours(tmp_path):
