@@ -127,13 +127,12 @@ class Daemon:
 
     def close(self) -> None:
         """Bring everything to rest; each step is tried even if the one before failed."""
+        to_rest: tuple[Callable[[], object], ...] = (self.rig.stage.stop, self.rig.camera.disarm, self.scans.close)
         steps: tuple[Callable[[], object], ...] = (
-            self.rig.stage.stop,
-            self.rig.camera.disarm,
-            self.scans.close,
+            *(to_rest if self.rig.is_open else ()),
             self.rig.stage.close,
             self.rig.camera.close,
-            self._publish_last,
+            *((self._publish_last,) if self.rig.is_open else ()),
             lambda: self._context.destroy(linger=200),
             self._events.close,
         )

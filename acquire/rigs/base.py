@@ -29,6 +29,8 @@ class Rig:
     camera_settings: CameraSettings
     """As the camera uses them."""
     stage_info: StageInfo
+    is_open = False
+    """False until both devices are open: a device that never opened is not told to stop."""
 
     def __init__(self, stage: Stage, camera: Camera) -> None:
         self.stage, self.camera = stage, camera
@@ -37,11 +39,12 @@ class Rig:
         """Connect and configure the camera, then connect the stage; ``sink`` is called from their threads.
 
         Raises:
-            SweepscopeError: a device that is not there, or refuses.
+            SweepscopeError: a device that is not there, or refuses; close both then.
         """
         self.camera_info = self.camera.open(sink)
         self.configure_camera(settings)
         self.stage_info = self.open_stage(sink)
+        self.is_open = True
 
     def open_stage(self, sink: StageSink) -> StageInfo:
         """Connect the stage; its events go to ``sink``."""

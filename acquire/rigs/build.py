@@ -10,6 +10,7 @@ import sys
 from types import ModuleType
 
 from acquire.cameras.protocol import HostFiredCamera
+from acquire.contract.config.drivers import CAMERA_KINDS, STAGE_KINDS
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError
 from acquire.rigs.base import HOST_TRIGGER, HostFiredRig, Rig
@@ -33,8 +34,10 @@ def build_rig(config: RigConfig) -> Rig:
         return TwinRig(config)
     if camera.kind == "simulated":
         raise ConfigError("a simulated camera sees no real stage: set camera.kind to your camera's, or 'replay'")
-    if camera.kind in ("uvc", "replay") or camera.trigger == HOST_TRIGGER:
+    if camera.kind in ("uvc", "replay") or (camera.kind == "genicam" and camera.trigger == HOST_TRIGGER):
         return HostFiredRig(_stage(config), _host_fired(config))
+    if camera.kind != "genicam":
+        raise ConfigError(f"camera.kind = {camera.kind!r} has no driver here: give one of {', '.join(CAMERA_KINDS)}")
     if stage.kind != "uno":
         raise ConfigError(
             f"a {stage.kind} stage has no TRIGGER wire: set camera.trigger = '{HOST_TRIGGER}', or use the Uno"
@@ -51,6 +54,10 @@ def _stage(config: RigConfig) -> Stage:
         from acquire.stages.legacy import LegacyStage  # noqa: PLC0415
 
         return LegacyStage(config.stage)
+    if config.stage.kind != "simulated":
+        raise ConfigError(
+            f"stage.kind = {config.stage.kind!r} has no driver here: give one of {', '.join(STAGE_KINDS)}"
+        )
     from acquire.stages.simulated import SimulatedStage  # noqa: PLC0415
 
     return SimulatedStage(config.stage, lambda *_shot: None, time_scale=config.simulation.time_scale)

@@ -12,10 +12,12 @@ import serial
 from acquire.contract.errors import SweepscopeError
 from acquire.stages.uno.framing import Block, BlockReader, encode_block
 
+from .identify import ask_around, is_known, words_for
 from .serial_io import LinkLostError, read_now, wait_readable, write_now
-from .wire_format import PROTOCOL_MAJOR, PROTOCOL_MINOR, WIRE_CRC, Cmd, HelloBody, HelloReplyBody, Msg
+from .wire_format import LINK_BAUD, PROTOCOL_MAJOR, PROTOCOL_MINOR, WIRE_CRC, Cmd, HelloBody, HelloReplyBody, Msg
 
 _HELLO_AGAIN_S: Final = 0.1
+_MOST_HEARD: Final = 4096
 
 
 class FirmwareMismatchError(SweepscopeError):
@@ -28,9 +30,17 @@ def new_nonce() -> int:
 
 
 def shake_hands(
-    port: serial.Serial, reader: BlockReader, nonce: int, within_s: float, given_up: Callable[[], bool]
+    port: serial.Serial,
+    reader: BlockReader,
+    nonce: int,
+    within_s: float,
+    given_up: Callable[[], bool],
+    *,
+    is_new: bool = False,
 ) -> HelloReplyBody:
     """Send HELLO until the firmware answers.
+
+    ``is_new``: the port was never our firmware's, so that it is worth finding out who else is there.
 
     Raises:
         LinkLostError: nothing answers ``within_s``, or ``given_up`` returns True.
@@ -45,11 +55,15 @@ def shake_hands(
         while (now_s := time.monotonic()) < again_s and not given_up():
             wait_readable(again_s - now_s, port.fileno())
             data = read_now(port)
-            heard = (heard + data)[:64]
+            heard = (heard + data)[:_MOST_HEARD]
             for block in reader.feed(data):
                 if block.kind == Msg.HELLO:
                     return _ours(HelloReplyBody.unpack(block.body))
-    raise _nobody(heard)
+    baud = int(port.baudrate)
+    if is_new and not is_known(heard) and not given_up():
+        answered, baud = ask_around(port)
+        heard = answered or heard
+    raise _nobody(str(port.name), heard, hello, baud)
 
 
 def _ours(hello: HelloReplyBody) -> HelloReplyBody:
@@ -66,12 +80,14 @@ def _ours(hello: HelloReplyBody) -> HelloReplyBody:
     return hello
 
 
-def _nobody(heard: bytes) -> SweepscopeError:
-    if heard:
+def _nobody(name: str, heard: bytes, hello: bytes, baud: int) -> SweepscopeError:
+    if who := words_for(heard, hello):
+        speed = "" if baud == LINK_BAUD else f" at {baud} baud"
         return FirmwareMismatchError(
-            f"another firmware answers on the stage's port ({heard[:16].hex(' ')} ...): nothing has moved; "
-            "flash ours (make -C firmware flash), or name another port in stage.port"
+            f"on the stage's port {name} there is {who}{speed}, not our firmware: nothing has moved; "
+            f"flash ours (make -C firmware flash PORT={name}), or name another port in stage.port"
         )
     return LinkLostError(
-        "nothing answers on the stage's port: is the controller powered, is it the right port, is our firmware on it?"
+        f"nothing answers on the stage's port {name}: is the controller powered, is it the right port, is our firmware "
+        f"on it (make -C firmware flash PORT={name})?"
     )

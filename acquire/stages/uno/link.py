@@ -22,6 +22,7 @@ from acquire.contract.errors import SweepscopeError
 from acquire.stages.uno.framing import Block, BlockReader, encode_block
 
 from .handshake import new_nonce, shake_hands
+from .identify import LOOK_S
 from .send_window import SendWindow, SerialCommand, Timing
 from .serial_io import LinkLostError, read_now, wait_readable, write_now
 from .wire_format import AckBody, Cmd, EventBody, HelloReplyBody, Msg, ReportBody, Result, unpack_report
@@ -97,10 +98,16 @@ class Link:
             FirmwareMismatchError: another firmware answers.
         """
         self._port = self._open_port()
+        within_s = self._timing.hello_s + LOOK_S + 2.0
         self._thread = threading.Thread(target=self._run, name="stage-link", daemon=True)
         self._thread.start()
         try:
-            return self._first_hello.result(timeout=self._timing.hello_s + 2.0)
+            return self._first_hello.result(timeout=within_s)
+        except TimeoutError:
+            self.close()
+            raise LinkLostError(
+                f"the stage's port did not do anything for {within_s:g} s: pull it, plug it in"
+            ) from None
         except BaseException:
             self.close()
             raise
@@ -278,8 +285,9 @@ class Link:
     def _shake_hands(self, nonce: int, old_nonce: int) -> tuple[HelloReplyBody, bool]:
         """Begin a session; True if the controller has kept its state since the old one."""
         within_s = self._timing.hello_s
-        hello = shake_hands(self._need_port(), self._reader, nonce, within_s, lambda: self._closing)
-        same = old_nonce != 0 and hello.previous_nonce == old_nonce and hello.boot_id == self._boot_id
+        is_new = old_nonce == 0
+        hello = shake_hands(self._need_port(), self._reader, nonce, within_s, lambda: self._closing, is_new=is_new)
+        same = not is_new and hello.previous_nonce == old_nonce and hello.boot_id == self._boot_id
         with self._lock:
             self._window.reset()
             self._nonce, self._boot_id = nonce, hello.boot_id

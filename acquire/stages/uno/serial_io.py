@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 
@@ -16,10 +15,18 @@ class LinkLostError(SweepscopeError):
 
 
 def write_now(port: serial.Serial, out: bytes) -> None:
-    """Write what fits into the buffer of the pty or USB device (some kilobytes); the rest is dropped."""
+    """Write what fits into the buffer of the pty or USB device (some kilobytes); the rest is dropped.
+
+    Raises:
+        LinkLostError: the device was removed.
+    """
     if out:
-        with contextlib.suppress(BlockingIOError):
+        try:
             os.write(port.fileno(), out)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            raise _gone(port, error) from None
 
 
 def read_now(port: serial.Serial) -> bytes:
@@ -32,9 +39,16 @@ def read_now(port: serial.Serial) -> bytes:
         data = os.read(port.fileno(), 4096)
     except BlockingIOError:
         return b""
+    except OSError as error:
+        raise _gone(port, error) from None
     if not data and not _is_there(port):
-        raise LinkLostError("the cable was pulled")
+        raise _gone(port)
     return data
+
+
+def _gone(port: serial.Serial, error: OSError | None = None) -> LinkLostError:
+    why = f" ({error.strerror})" if error is not None and error.strerror else ""
+    return LinkLostError(f"the cable was pulled: the port {port.name} is gone{why}")
 
 
 def _is_there(port: serial.Serial) -> bool:

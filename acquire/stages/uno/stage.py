@@ -16,6 +16,7 @@ from acquire.stages.protocol import Moved, Segment, StageInfo, StageSink, StageS
 from acquire.stages.uno.framing import Block
 
 from .config import config_body, segment_body
+from .handshake import FirmwareMismatchError
 from .link import Link, LinkTiming
 from .ports import choose_port, open_port
 from .reports import Activity, ReportFollower, result_of
@@ -33,6 +34,7 @@ from .wire_format import (
     Cmd,
     DiagnosisBody,
     GrantBody,
+    HelloReplyBody,
     LampBody,
     MoveBody,
     ReportBody,
@@ -78,7 +80,7 @@ class UnoStage:
         """
         self._follower.sink = sink
         self._follower.keep_alive()
-        hello = self._link.open()
+        hello = self._connect()
         try:
             self._configure()
             self._link.ask(Cmd.STATUS, StatusBody(0).pack())
@@ -95,6 +97,14 @@ class UnoStage:
             has_limit_switch=self._has_switch,
             modes=("step", "fly"),
         )
+
+    def _connect(self) -> HelloReplyBody:
+        try:
+            return self._link.open()
+        except (LinkLostError, FirmwareMismatchError) as error:
+            if self._config.port:
+                raise
+            raise type(error)(f"{error} (stage.port names none, and this is the only port found)") from None
 
     def close(self) -> None:
         """Stop motion, switch the lamp off, disconnect; idempotent, never raises."""
