@@ -6,11 +6,9 @@ A command is stamped with the rig's clock so that it expires in time, and is ref
 from __future__ import annotations
 
 import shutil
-import tempfile
 import threading
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Self
 
 import msgspec
@@ -23,6 +21,7 @@ from acquire.contract.messaging.lanes import bind, open_socket
 from acquire.contract.messaging.messages import Command, Status
 from acquire.contract.permissions import never_late
 from acquire.contract.process.clocks import mono_ns
+from acquire.contract.process.run_dir import temporary_run_dir
 
 from .addresses import ASKED, SPOKEN, Address
 from .gateway import keep_alive
@@ -59,7 +58,7 @@ class Tunnel:
         self._ending = threading.Event()
 
     def __enter__(self) -> Self:
-        self.run_dir = Path(tempfile.mkdtemp(prefix="sweepscope-"))
+        self.run_dir = temporary_run_dir()
         self._context: zmq.Context[Any] = zmq.Context()
         self._monitors: dict[str, zmq.Socket[Any]] = {}
         self._relay = self._open()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import tomli_w
 from acquire.contract.config.load import load_config
 from acquire.contract.config.model import SweepConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
+from acquire.contract.process.run_dir import temporary_run_dir
 from tui.processes.all_services import VITAL, child_environment, service_specs
 from tui.processes.supervisor import POLL_S, Supervisor
 
@@ -77,7 +77,7 @@ class DemoRig:
             self._log_dir.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"cannot create {self._log_dir}: {error.strerror}; use another folder") from None
-        self.run_dir = Path(tempfile.mkdtemp(prefix="sweepscope-"))
+        self.run_dir = temporary_run_dir()
         path = self.run_dir / "rig.toml"
         path.write_text(tomli_w.dumps(options.settings()), encoding="utf-8")
         try:

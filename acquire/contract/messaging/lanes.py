@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import zmq
 
-from acquire.contract.errors import ProtocolError
+from acquire.contract.errors import ConfigError, ProtocolError
 from acquire.contract.process.clocks import mono_ns
 from acquire.contract.process.run_dir import endpoint
 
@@ -52,9 +52,16 @@ def open_socket(context: zmq.Context[Any], kind: int, lane: str) -> zmq.Socket[A
 
 
 def bind(context: zmq.Context[Any], kind: int, run_dir: Path, lane: str) -> zmq.Socket[Any]:
-    """A socket bound to the lane's endpoint; take the service's lock before (a second bind steals an ipc path)."""
+    """A socket bound to the lane's endpoint; take the service's lock before (a second bind steals an ipc path).
+
+    Raises:
+        ConfigError: it cannot be created there.
+    """
     socket = open_socket(context, kind, lane)
-    socket.bind(endpoint(run_dir, lane))
+    try:
+        socket.bind(endpoint(run_dir, lane))
+    except zmq.ZMQError as error:
+        raise ConfigError(f"cannot create {lane}.sock in {run_dir}: {error.strerror}; set SWEEPSCOPE_RUN") from None
     return socket
 
 

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import os
 import socket
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
@@ -14,6 +15,7 @@ from acquire.contract.errors import AlreadyRunningError, ConfigError, NoServiceE
 
 LANES = ("frames", "live", "results", "status", "command", "preview")
 SYSTEM_RUN = Path("/run/sweepscope")
+RUN_VARIABLE = "SWEEPSCOPE_RUN"
 MAX_SOCKET_PATH_BYTES = 107
 
 
@@ -31,31 +33,48 @@ def client_run_dir(environ: Mapping[str, str] = os.environ) -> Path:
 
     Raises:
         NoServiceError: none of them does.
+        ConfigError: none of them does, and one is no place for sockets.
     """
     if environ.get("SWEEPSCOPE_RUN"):
         candidates = [Path(environ["SWEEPSCOPE_RUN"])]
     else:
         xdg = environ.get("XDG_RUNTIME_DIR")
         candidates = ([Path(xdg) / "sweepscope"] if xdg else []) + [SYSTEM_RUN]
+    refused: list[ConfigError] = []
     for candidate in candidates:
-        if is_served(candidate):
-            return candidate
+        try:
+            if is_served(candidate):
+                return candidate
+        except ConfigError as error:
+            refused.append(error)
+    if refused:
+        raise refused[0]
     places = " or ".join(str(candidate) for candidate in candidates)
     raise NoServiceError(f"no rig daemon answers in {places}: start one with 'sweepscope up' or set SWEEPSCOPE_RUN")
 
 
 def is_served(run_dir: Path, lane: str = "command") -> bool:
-    """True if a living process has bound the lane's socket; a file that a dead one left behind does not count."""
+    """True if a living process has bound the lane's socket; a file that a dead one left behind does not count.
+
+    Raises:
+        ConfigError: as :func:`socket_path`.
+    """
+    path = socket_path(run_dir, lane)
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
-            probe.connect(str(run_dir / f"{lane}.sock"))
+            probe.connect(str(path))
         except OSError:
             return False
     return True
 
 
 def prepare_run_dir(path: Path) -> Path:
-    """Create the run directory with mode 0700 if it is not there; refuse one that others can write to."""
+    """Create the run directory with mode 0700 if it is not there.
+
+    Raises:
+        ConfigError: it cannot be created, others can write to it, or its name is too long for sockets.
+    """
+    socket_path(path, max(LANES, key=len))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         mode = path.stat().st_mode
@@ -66,18 +85,45 @@ def prepare_run_dir(path: Path) -> Path:
     return path
 
 
-def endpoint(run_dir: Path, lane: str) -> str:
-    """The ipc endpoint of a lane.
+def temporary_run_dir() -> Path:
+    """A new run directory among the temporary files, for a rig of this process alone.
 
     Raises:
-        ConfigError: the path is too long for a Unix socket.
+        ConfigError: none can be created, or the name of ``$TMPDIR`` is too long for sockets.
+    """
+    try:
+        path = Path(tempfile.mkdtemp(prefix="sweepscope-"))
+    except OSError as error:
+        raise ConfigError(f"no temporary directory can be created: {error.strerror}; set TMPDIR to another") from None
+    try:
+        return prepare_run_dir(path)
+    except ConfigError as error:
+        path.rmdir()
+        raise ConfigError(str(error).replace(RUN_VARIABLE, "TMPDIR")) from None
+
+
+def socket_path(run_dir: Path, lane: str) -> Path:
+    """Where the socket of a lane is.
+
+    Raises:
+        ConfigError: the path is too long for a Unix socket, or not UTF-8.
     """
     path = run_dir / f"{lane}.sock"
-    if len(os.fsencode(path)) > MAX_SOCKET_PATH_BYTES:
+    length = len(os.fsencode(path))
+    if length > MAX_SOCKET_PATH_BYTES:
+        bound = MAX_SOCKET_PATH_BYTES - (length - len(os.fsencode(run_dir)))
         raise ConfigError(
-            f"the socket path {path} is longer than {MAX_SOCKET_PATH_BYTES} bytes: set SWEEPSCOPE_RUN to a shorter one"
+            f"the socket path {path} has {length} bytes, longer than the {MAX_SOCKET_PATH_BYTES} of a Unix socket: set "
+            f"{RUN_VARIABLE} to a directory of at most {bound} bytes"
         )
-    return f"ipc://{path}"
+    if os.fsencode(path) != str(path).encode(errors="replace"):
+        raise ConfigError(f"the socket path {path} is not UTF-8 in this locale: set {RUN_VARIABLE} to another")
+    return path
+
+
+def endpoint(run_dir: Path, lane: str) -> str:
+    """The ipc endpoint of a lane (raises ConfigError as :func:`socket_path`)."""
+    return f"ipc://{socket_path(run_dir, lane)}"
 
 
 class FileLock:

@@ -12,12 +12,16 @@ import pytest
 
 from acquire.contract.errors import AlreadyRunningError, ConfigError, NoServiceError
 from acquire.contract.process.run_dir import (
+    LANES,
+    MAX_SOCKET_PATH_BYTES,
     client_run_dir,
     endpoint,
     is_locked,
+    is_served,
     lock_service,
     prepare_run_dir,
     service_run_dir,
+    temporary_run_dir,
 )
 
 
@@ -49,6 +53,51 @@ def test_a_socket_that_a_dead_daemon_left_behind_does_not_count(run_dir):
 def test_a_path_that_is_too_long_for_a_socket_is_an_error():
     with pytest.raises(ConfigError, match="107"):
         endpoint(Path("/" + "x" * 120), "frames")
+
+
+def test_a_directory_that_is_too_long_for_sockets_is_refused_by_all_before_it_is_made(tmp_path):
+    long = tmp_path / ("x" * 110)
+    for use in (prepare_run_dir, is_served, lambda path: client_run_dir({"SWEEPSCOPE_RUN": str(path)})):
+        with pytest.raises(
+            ConfigError, match=r"xxx.*bytes, longer than the 107.*SWEEPSCOPE_RUN to a directory of at most 9\d bytes"
+        ):
+            use(long)
+    assert not long.exists()
+
+
+def test_the_longest_directory_that_is_offered_works_for_every_lane(run_dir):
+    room = MAX_SOCKET_PATH_BYTES - len(os.fsencode(run_dir)) - len("/") - len("/command.sock")
+    longest = run_dir / ("y" * room)
+    assert prepare_run_dir(longest).is_dir()
+    for lane in LANES:
+        with listen(longest / f"{lane}.sock"):
+            assert is_served(longest, lane)
+    with pytest.raises(ConfigError):
+        prepare_run_dir(run_dir / ("y" * (room + 1)))
+
+
+def test_a_user_directory_that_is_too_long_is_told_where_no_daemon_runs():
+    with pytest.raises(ConfigError, match="SWEEPSCOPE_RUN"):
+        client_run_dir({"XDG_RUNTIME_DIR": "/" + "x" * 110})
+
+
+def test_letters_count_as_bytes_and_a_name_that_is_no_utf8_is_refused():
+    with pytest.raises(ConfigError, match="127 bytes"):
+        endpoint(Path("/" + "\u00fc" * 55 + "abc"), "command")
+    with pytest.raises(ConfigError, match="UTF-8"):
+        endpoint(Path(os.fsdecode(b"/tmp/bad\xff")), "command")
+
+
+def test_a_directory_for_temporary_files_that_is_too_long_or_missing_names_its_variable(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    with pytest.raises(ConfigError, match="TMPDIR"):
+        temporary_run_dir()
+    deep = tmp_path / ("x" * 100)
+    deep.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(deep))
+    with pytest.raises(ConfigError, match="TMPDIR"):
+        temporary_run_dir()
+    assert list(deep.iterdir()) == []
 
 
 def test_the_run_directory_is_private(run_dir):
