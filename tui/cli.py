@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -11,9 +14,12 @@ import click
 from acquire.contract.errors import EXIT_FAILED, EXIT_USAGE, SweepscopeError
 from tui.commands import calibrate, devices, files, installation, remote, scans, services, stage, sweep
 from tui.commands.context import Session
+from tui.text.streams import prepare_streams
 
 EXIT_INTERRUPTED = 130
 """128 + SIGINT, as shells report it."""
+EXIT_NOT_READ = 141
+"""128 + SIGPIPE: whoever read our output has ended."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -44,6 +50,17 @@ for _command in (
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line ``arguments`` (without the program's name); returns the exit status."""
+    status = _run(arguments)
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains at its end
+        return status or _unexpected(error)
+    return status
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         status = cli.main(args=list(arguments), prog_name="sweepscope", standalone_mode=False)
     except SweepscopeError as error:
@@ -56,12 +73,15 @@ def run(arguments: Sequence[str]) -> int:
     except (click.Abort, KeyboardInterrupt):
         return EXIT_INTERRUPTED
     except Exception as error:  # noqa: BLE001 - outermost: any error is printed on one line
-        return _unexpected(error, debug="--debug" in arguments)
+        if "--debug" in arguments:
+            traceback.print_exc()
+        return _unexpected(error)
     return status if isinstance(status, int) else 0
 
 
 def _complain(text: str, exit_status: int) -> int:
-    print("sweepscope: " + " ".join(text.split()), file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody may be there to read it
+        print("sweepscope: " + " ".join(text.split()), file=sys.stderr)
     return exit_status
 
 
@@ -70,15 +90,35 @@ def _where_to_look(error: click.ClickException) -> str:
     return f" (see '{context.command_path} --help')" if context is not None else ""
 
 
-def _unexpected(error: Exception, *, debug: bool) -> int:
-    if debug:
-        traceback.print_exc()
-    hint = "" if debug else " (a bug: 'sweepscope --debug ...' shows where)"
-    return _complain(f"unexpected {type(error).__name__}: {error}{hint}", EXIT_FAILED)
+def _unexpected(error: Exception) -> int:
+    """An error that no command explains: first those of the machine, then our own."""
+    if isinstance(error, BrokenPipeError):
+        return EXIT_NOT_READ
+    if isinstance(error, OSError) and error.errno is not None:
+        where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
+        return _complain(f"{where}{_machine_words(error)}: mend that, then try again", EXIT_FAILED)
+    if isinstance(error, MemoryError):
+        return _complain("this machine has not enough memory for that: end other programs", EXIT_FAILED)
+    if isinstance(error, UnicodeEncodeError):
+        return _complain(
+            f"{error.object[:80]!r} cannot be written in {error.encoding} (a file name that is not UTF-8, or a locale "
+            "that lacks a letter): rename it, or set PYTHONUTF8=1",
+            EXIT_FAILED,
+        )
+    return _complain(
+        f"unexpected {type(error).__name__}: {error} (a bug: 'sweepscope --debug ...' shows where)", EXIT_FAILED
+    )
+
+
+def _machine_words(error: OSError) -> str:
+    if error.errno == errno.EMFILE:
+        return "too many files are open (raise it with 'ulimit -n')"
+    return error.strerror or str(error)
 
 
 def main() -> None:
     """Entry point of the installed command."""
+    prepare_streams()
     sys.exit(run(sys.argv[1:]))
 
 

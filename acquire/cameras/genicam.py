@@ -21,6 +21,7 @@ from genicam.gentl import GenericException as GenTLError
 from harvesters.core import Harvester
 from numpy.typing import NDArray
 
+from acquire.contract.config.load import home_resolved
 from acquire.contract.config.model import CameraConfig
 from acquire.contract.errors import ConfigError, SweepscopeError
 from acquire.contract.messaging.messages import FrameFormat
@@ -445,7 +446,7 @@ def _producers(named: str) -> list[Path]:
         ConfigError: none is named or found.
     """
     if named:
-        path = Path(named).expanduser()
+        path = home_resolved(named, "camera.producer")
         if not path.is_file():
             raise ConfigError(f"camera.producer = {named!r} is no file: give the maker's .cti")
         return [path]

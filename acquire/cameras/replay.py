@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from acquire.contract.config.load import home_resolved
 from acquire.contract.config.model import RigConfig
 from acquire.contract.errors import ConfigError, ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
@@ -46,7 +47,9 @@ class ReplayCamera:
         if not self._config.camera.device:
             raise ConfigError("camera.kind = 'replay' needs camera.device: the folder of pictures or the scan to show")
         self._sink = sink
-        self._count, frame_format, self._read = self._recording(Path(self._config.camera.device).expanduser())
+        self._count, frame_format, self._read = self._recording(
+            home_resolved(self._config.camera.device, "camera.device")
+        )
         self._thread = threading.Thread(target=self._serve, name="replay-camera", daemon=True)
         self._thread.start()
         return CameraInfo(kind="replay", format=frame_format, counts_frames=False)

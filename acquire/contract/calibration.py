@@ -13,6 +13,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from .errors import CalibrationError
+from .files import read_text, reason
 from .plan import SweepPlan
 
 Vector3 = tuple[float, float, float]
@@ -96,15 +97,13 @@ def load_calibration(path: Path) -> tuple[Calibration, str]:
         CalibrationError: not there, not JSON, a key missing, NaN, a non-rotation R, a zero normal ... by name.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise CalibrationError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no calibration")
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise CalibrationError(
             f"the calibration {path} is not there: calibrate, or name another with --calibration"
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"cannot read the calibration {path}: {error}") from None
+    except (OSError, ValueError) as error:
+        raise CalibrationError(f"cannot read the calibration {path}: {reason(error)}") from None
     return parse_calibration(text, str(path)), text
 
 

@@ -1,10 +1,75 @@
-"""Replace a file in one step: written under a temporary name, then renamed. A reader never sees half a file."""
+"""Small files: read as text whatever editor wrote them, and replaced in one step by a rename."""
 
 from __future__ import annotations
 
+import codecs
 import os
+import select
+import stat
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
+
+MAX_TEXT_BYTES: Final = 64 * 1024 * 1024
+PIPE_S: Final = 5.0
+"""Longest wait for somebody to write into a pipe that is given as a file."""
+_TOO_LARGE: Final = "it is over {} bytes"
+_UTF16: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """The text of a file in UTF-8; a byte order mark, as Windows editors write it, is left out.
+
+    Raises:
+        OSError: the file is not there or cannot be read.
+        ValueError: no file or pipe, larger than ``max_bytes``, or not UTF-8; the text says which.
+    """
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # opening a pipe does not wait for its writer
+    try:
+        _check_kind(fd, max_bytes)
+        os.set_blocking(fd, True)
+        with os.fdopen(fd, "rb", closefd=False) as file:
+            content = file.read(max_bytes + 1)
+    finally:
+        os.close(fd)
+    if len(content) > max_bytes:
+        raise ValueError(_TOO_LARGE.format(max_bytes))
+    return decode_text(content)
+
+
+def decode_text(content: bytes) -> str:
+    """UTF-8 ``content`` without a byte order mark.
+
+    Raises:
+        ValueError: it is UTF-16, holds NUL bytes, or is not UTF-8; the text says which and what to do.
+    """
+    if content.startswith(_UTF16):
+        raise ValueError("it is UTF-16 text: save it as UTF-8")
+    if b"\0" in content:
+        raise ValueError(f"it holds a NUL byte at byte {content.index(0)}: it is no text in UTF-8, or it is damaged")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"line {line} holds a byte that is not UTF-8: save it as UTF-8") from None
+
+
+def reason(error: Exception) -> str:
+    """Why a file could not be read, without its name (which the caller says)."""
+    return (error.strerror if isinstance(error, OSError) else "") or str(error)
+
+
+def _check_kind(fd: int, max_bytes: int) -> None:
+    mode, size = os.fstat(fd).st_mode, os.fstat(fd).st_size
+    if stat.S_ISDIR(mode):
+        raise ValueError("it is a folder")
+    if stat.S_ISFIFO(mode):
+        if not select.select([fd], [], [], PIPE_S)[0]:
+            raise ValueError(f"it is a pipe into which nothing was written for {PIPE_S:g} s")
+    elif not stat.S_ISREG(mode):
+        raise ValueError("it is no regular file")
+    elif size > max_bytes:
+        raise ValueError(_TOO_LARGE.format(max_bytes))
 
 
 def replace_file(

@@ -16,7 +16,7 @@ import msgspec
 
 from acquire.cameras.protocol import CameraSettings
 from acquire.contract.calibration import check_size, check_validity, load_calibration, parse_calibration
-from acquire.contract.config.load import LoadedConfig
+from acquire.contract.config.load import LoadedConfig, home_resolved
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import CalibrationError, CommandRefusedError
 from acquire.contract.messaging.messages import FrameFormat, Start
@@ -162,7 +162,7 @@ def _calibration(request: ScanRequest, config: LoadedConfig, rig: Rig, plan: Swe
     """The calibration's JSON, empty where none is needed, and warnings about it."""
     named = config.rig.reconstruct.calibration
     if named:
-        calibration, text = load_calibration(Path(named).expanduser())
+        calibration, text = load_calibration(home_resolved(named, "reconstruct.calibration"))
     else:
         text = rig.own_calibration(plan)
         if not text:

@@ -20,9 +20,9 @@ from typing import Literal, cast
 import tomli_w
 import zmq
 
-from acquire.contract.config.load import LoadedConfig
+from acquire.contract.config.load import LoadedConfig, home_resolved, user_config_folder
 from acquire.contract.errors import ConfigError
-from acquire.contract.files import replace_file
+from acquire.contract.files import read_text, replace_file
 
 May = Literal["steer", "watch"]
 SYSTEM_CONFIG = Path("/etc/sweepscope")
@@ -56,14 +56,13 @@ class Allowed:
 
 def own_folder(environ: Mapping[str, str] = os.environ) -> Path:
     """Folder of a user's key."""
-    config = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
-    return Path(config) / "sweepscope/keys"
+    return user_config_folder(environ) / "keys"
 
 
 def rig_folder(config: LoadedConfig) -> Path:
     """Folder of the rig's key and the list of allowed keys; of an installed rig, beside its rig.toml."""
     if config.rig.network.keys_dir:
-        return Path(config.rig.network.keys_dir).expanduser()
+        return home_resolved(config.rig.network.keys_dir, "network.keys_dir")
     if config.path is not None and config.path.parent == SYSTEM_CONFIG:
         return SYSTEM_CONFIG / "keys"
     return own_folder()
@@ -123,14 +122,14 @@ def load_pair(path: Path, what: str, mend: str) -> KeyPair:
     try:
         if stat.S_IMODE(path.stat().st_mode) & 0o077:
             raise ConfigError(f"{what} {path} can be read by others: make a new one, or chmod 600 {path}")
-        fields = tomllib.loads(path.read_text(encoding="utf-8"))
+        fields = tomllib.loads(read_text(path))
         pair = KeyPair(str(fields["public"]), str(fields["secret"]))
         if not _Z85.match(pair.public) or not _Z85.match(pair.secret):
             raise ValueError("no pair")  # do not show the line: half of it is secret
         return pair
     except FileNotFoundError:
         raise ConfigError(f"{what} {path} is not there: {mend}") from None
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, RecursionError) as error:
         raise ConfigError(f"{what} {path} cannot be used ({type(error).__name__}): {mend}") from None
 
 
@@ -142,11 +141,11 @@ def load_allowed(folder: Path) -> dict[str, Allowed]:
     """
     path = folder / ALLOWED_NAME
     try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8"))
+        entries = tomllib.loads(read_text(path))
         return {name: _entry(name, fields) for name, fields in entries.items()}
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{path} cannot be used ({error}): nobody is let in; mend it, or remove it") from None
 
 

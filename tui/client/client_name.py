@@ -10,7 +10,7 @@ import sys
 def user_name() -> str:
     """The user's name, or number where the system knows no name."""
     try:
-        return getpass.getuser()
+        return getpass.getuser().encode("utf-8", "replace").decode()
     except (KeyError, OSError):
         return f"user {os.getuid()}"
 

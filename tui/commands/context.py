@@ -22,6 +22,38 @@ if TYPE_CHECKING:
 PATH = click.Path(path_type=Path)
 
 
+class _Text(click.ParamType):
+    """Text that goes into files and messages, which are UTF-8."""
+
+    name = "text"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """``value``, unless it holds a byte that is not UTF-8."""
+        try:
+            value.encode()
+        except UnicodeEncodeError:
+            self.fail(f"{value!r} holds a byte that is not UTF-8: type it anew", param, ctx)
+        return value
+
+
+TEXT = _Text()
+
+
+class Number(click.FloatRange):
+    """A finite number within bounds; click's own range lets NaN pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """``value`` as a number."""
+        found = float(super().convert(value, param, ctx))
+        if not math.isfinite(found):
+            self.fail(f"{value} is no finite number", param, ctx)
+        return found
+
+
+POSITION_STEPS = click.IntRange(-10_000_000, 10_000_000)
+"""Microsteps from zero, as far as any stage can be."""
+
+
 @dataclass(frozen=True)
 class RemoteRig:
     """A rig on another machine, from ``--connect``, ``--server-key`` and ``--key``."""
@@ -120,6 +152,7 @@ def _keep(name: str) -> Callable[[click.Context, click.Parameter, Any], Any]:
 _REMOTE_OPTIONS = (
     click.option(
         "--connect",
+        type=TEXT,
         metavar="tcp://HOST:PORT",
         expose_value=False,
         callback=_keep("address"),
@@ -128,6 +161,7 @@ _REMOTE_OPTIONS = (
     ),
     click.option(
         "--server-key",
+        type=TEXT,
         metavar="KEY",
         expose_value=False,
         callback=_keep("server_key"),

@@ -6,7 +6,17 @@ from typing import Any
 
 import click
 
-from tui.commands.context import Session, json_option, print_json, request, rig_options, show_reply
+from tui.commands.context import (
+    POSITION_STEPS,
+    TEXT,
+    Number,
+    Session,
+    json_option,
+    print_json,
+    request,
+    rig_options,
+    show_reply,
+)
 
 _wait = click.option("--wait", is_flag=True, help="Return when it has ended; exit status 1 if it failed.")
 _SETTINGS = ("exposure_ms", "gain", "brightness_percent")
@@ -29,7 +39,7 @@ def _move(session: Session, name: str, wait: bool, as_json: bool, /, **args: int
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("position_steps", type=int)
+@click.argument("position_steps", type=POSITION_STEPS)
 @_wait
 @rig_options
 def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> None:
@@ -38,7 +48,7 @@ def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> No
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("steps", type=int)
+@click.argument("steps", type=POSITION_STEPS)
 @_wait
 @rig_options
 def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
@@ -96,10 +106,7 @@ def _settings(_context: click.Context, _parameter: click.Parameter, values: tupl
         if name not in _SETTINGS:
             known = ", ".join(setting.replace("_", "-") for setting in _SETTINGS)
             raise click.BadParameter(f"{text!r} is not NAME=NUMBER with one of {known}")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            raise click.BadParameter(f"{text!r}: {value!r} is no number") from None
+        found[name] = Number().convert(value, _parameter, _context)
     return found
 
 
@@ -140,10 +147,10 @@ def camera_expose(session: Session, wait: bool, as_json: bool) -> None:
 
 
 @click.command()
-@click.option("--first-steps", type=int, help="First position, in microsteps.")
-@click.option("--last-steps", type=int, help="Last position, in microsteps.")
+@click.option("--first-steps", type=POSITION_STEPS, help="First position, in microsteps.")
+@click.option("--last-steps", type=POSITION_STEPS, help="Last position, in microsteps.")
 @click.option(
-    "--every-steps", type=click.IntRange(min=1), help="Microsteps between two positions; 20 frames if not given."
+    "--every-steps", type=click.IntRange(1, 100_000), help="Microsteps between two positions; 20 frames if not given."
 )
 @_wait
 @rig_options
@@ -176,7 +183,7 @@ def control(session: Session, action: str, as_json: bool) -> None:
 
 
 @camera.command("capture")
-@click.argument("path", required=False)
+@click.argument("path", type=TEXT, required=False)
 @_wait
 @json_option
 @click.pass_obj
@@ -188,9 +195,9 @@ def camera_capture(session: Session, path: str | None, wait: bool, as_json: bool
 
 @click.command()
 @click.option("--object", "object_", type=click.Choice(["stirrup", "dome", "wedge", "flat", "checkerboard"]))
-@click.option("--tilt-x", "tilt_x_deg", type=float, help="Degrees; positive lifts the far side.")
-@click.option("--tilt-y", "tilt_y_deg", type=float, help="Degrees; positive lifts the left side.")
-@click.option("--yaw", "yaw_deg", type=float, help="Turn about the vertical in degrees.")
+@click.option("--tilt-x", "tilt_x_deg", type=Number(-30, 30), help="Degrees; positive lifts the far side.")
+@click.option("--tilt-y", "tilt_y_deg", type=Number(-30, 30), help="Degrees; positive lifts the left side.")
+@click.option("--yaw", "yaw_deg", type=Number(-180, 180), help="Turn about the vertical in degrees.")
 @_wait
 @json_option
 @click.pass_obj

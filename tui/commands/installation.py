@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from acquire.contract.config.drivers import CAMERA_KINDS, STAGE_KINDS
-from tui.commands.context import PATH, Session, json_option, plain, print_json
+from tui.commands.context import PATH, TEXT, Session, json_option, plain, print_json
 
 if TYPE_CHECKING:
     from acquire.contract.messaging.messages import Status
@@ -25,7 +26,7 @@ _STAGES, _CAMERAS = click.Choice(STAGE_KINDS), click.Choice(CAMERA_KINDS)
 @_user
 @_dry_run
 @click.option("--stage", type=_STAGES, help="Controller of the stage.")
-@click.option("--port", help="Serial port of the controller.")
+@click.option("--port", type=TEXT, help="Serial port of the controller.")
 @click.option("--camera", type=_CAMERAS, help="Camera driver.")
 @click.option("--data-dir", type=PATH, help="Folder of all scans.")
 @click.option("--no-start", is_flag=True, help="Install everything, but start nothing.")
@@ -169,7 +170,7 @@ def _findings(session: Session) -> list[DoctorFinding]:
 @click.option(
     "--service", type=click.Choice(["daemon", "writer", "worker", "viewer", "gateway"]), help="Only this service."
 )
-@click.option("--scan", "scan_uid", metavar="UID", help="Only lines about this scan.")
+@click.option("--scan", "scan_uid", type=TEXT, metavar="UID", help="Only lines about this scan.")
 @click.option("-n", "--lines", type=click.IntRange(1, 1_000_000), default=200, show_default=True)
 @click.option("-f", "--follow", is_flag=True, help="Keep printing new lines.")
 @json_option
@@ -194,13 +195,15 @@ def report(session: Session, target: Path) -> None:
     Versions, configuration, the last logs and the doctor's findings go into TARGET; no picture, map or cloud does."""
     from tui.install.journal import as_text, last_logs, pack, versions, without_home
 
+    homes: list[str] = []
     texts = {
         "versions.json": as_text(versions()),
         "rig.toml": session.config().explained(),
         "doctor.json": as_text(plain(_findings(session))),
         "logs.txt": last_logs(),
     }
-    homes = [str(Path.home())]
+    with contextlib.suppress(RuntimeError):  # no home folder is known: then no path can name it
+        homes.append(str(Path.home()))
     pack(target, {name: without_home(text, homes) for name, text in texts.items()})
     click.echo(f"{target}: {', '.join(texts)}; look through it before you send it")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.context import TEXT, Session, json_option, print_json
 
 if TYPE_CHECKING:
     from acquire.remote.keys import May
@@ -74,8 +74,8 @@ def _public(path: Path) -> str:
 
 
 @keys.command()
-@click.argument("name")
-@click.argument("key")
+@click.argument("name", type=TEXT)
+@click.argument("key", type=TEXT)
 @click.option("--watch-only", is_flag=True, help="Allow it to watch the rig, not to control it.")
 @click.pass_obj
 def allow(session: Session, name: str, key: str, watch_only: bool) -> None:
@@ -89,7 +89,7 @@ def allow(session: Session, name: str, key: str, watch_only: bool) -> None:
 
 
 @keys.command()
-@click.argument("name")
+@click.argument("name", type=TEXT)
 @click.pass_obj
 def revoke(session: Session, name: str) -> None:
     """Refuse the key of NAME from now on; an open connection is closed within a second."""

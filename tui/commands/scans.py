@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tui.commands.context import PATH, Session, json_option, print_json, progress_option, progress_printer
+from tui.commands.context import PATH, TEXT, Session, json_option, print_json, progress_option, progress_printer
 
 if TYPE_CHECKING:
     from tui.scans.folder import ScanEntry
@@ -60,11 +60,11 @@ def _table(found: list[ScanEntry]) -> list[str]:
 
 @click.command()
 @_SCAN
-@click.option("--name", help="Name of the scan; its folder keeps its name.")
-@click.option("--specimen", help="Name of the specimen.")
-@click.option("--operator", help="Name of the operator.")
-@click.option("--notes", help="Free text.")
-@click.option("--tag", "tags", multiple=True, help="May be given more than once; replaces all tags.")
+@click.option("--name", type=TEXT, help="Name of the scan; its folder keeps its name.")
+@click.option("--specimen", type=TEXT, help="Name of the specimen.")
+@click.option("--operator", type=TEXT, help="Name of the operator.")
+@click.option("--notes", type=TEXT, help="Free text.")
+@click.option("--tag", "tags", type=TEXT, multiple=True, help="May be given more than once; replaces all tags.")
 @json_option
 def notes(scan: Path, as_json: bool, **wanted: Any) -> None:
     """Show or edit the notes of a scan.

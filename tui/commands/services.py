@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from tui.commands.context import PATH, Session, remote_options, size_callback
+from tui.commands.context import PATH, TEXT, Number, Session, remote_options, size_callback
 
 
 @click.command()
@@ -53,7 +53,9 @@ def viewer(session: Session, port: int | None) -> None:
 
 
 @click.group(invoke_without_command=True)
-@click.option("--ascii", "ascii_only", is_flag=True, help="Draw with ASCII characters only.")
+@click.option(
+    "--ascii", "ascii_only", is_flag=True, help="Draw with ASCII characters only [where the locale needs it]."
+)
 @click.option("--read-only", is_flag=True, help="Watch only: no action that moves or changes the rig, except STOP.")
 @remote_options
 @click.option("--picture", type=click.Choice(["half", "mono", "off"]), help="How the camera picture is drawn.")
@@ -82,9 +84,10 @@ def console(
     Closing it never affects a sweep: reopen it at any time."""
     if context.invoked_subcommand is not None:
         return 0
-    from tui.console.terminal.terminal import choose_colours, picture_mode, require_terminal
+    from tui.console.terminal.terminal import choose_colours, needs_ascii, picture_mode, require_terminal
 
     require_terminal("the console")
+    ascii_only = ascii_only or needs_ascii()
     config = context.obj.config()  # an invalid rig.toml is reported before the screen is drawn
     settled = choose_colours(colours)
     from tui.console.options import options_for
@@ -127,10 +130,12 @@ def up(session: Session) -> int:
 @click.command()
 @click.option("--size", metavar="WxH", callback=size_callback, hidden=True, help="Pixels of the simulated camera.")
 @click.option("--frames", type=click.IntRange(2, 100_000), hidden=True, help="Frames over the whole travel.")
-@click.option("--time-scale", type=float, hidden=True, help="Factor on simulated durations.")
-@click.option("--object", "specimen", hidden=True, help="Simulated specimen.")
-@click.option("--seed", type=int, hidden=True)
-@click.option("--rate", "max_rate_hz", type=float, hidden=True, help="Frames per second at most.")
+@click.option("--time-scale", type=Number(0, 1000, min_open=True), hidden=True, help="Factor on simulated durations.")
+@click.option("--object", "specimen", type=TEXT, hidden=True, help="Simulated specimen.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), hidden=True)
+@click.option(
+    "--rate", "max_rate_hz", type=Number(0, 10_000, min_open=True), hidden=True, help="Frames per second at most."
+)
 @click.option("--data-dir", type=PATH, default=Path("demo-data"), hidden=True)
 @click.option("--twin", is_flag=True, help="Run the real firmware in an emulator (needs the AVR tools).")
 def demo(**settings: Any) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from tui.commands.context import Session, json_option, print_json
+from tui.commands.context import POSITION_STEPS, TEXT, Session, json_option, print_json
 
 
 @click.group()
@@ -13,7 +13,7 @@ def stage() -> None:
 
 
 @stage.command()
-@click.option("--port", help="Serial port; default: stage.port, or the only one there is.")
+@click.option("--port", type=TEXT, help="Serial port; default: stage.port, or the only one there is.")
 @click.pass_obj
 def check(session: Session, port: str | None) -> int:
     """Check each wire: moves the stage by 100 microsteps, asks, and reports. Home the stage afterwards."""
@@ -30,7 +30,7 @@ def check(session: Session, port: str | None) -> int:
 
 
 @stage.command()
-@click.option("--position-steps", type=int, help="Where to measure; default: the middle of the sweep.")
+@click.option("--position-steps", type=POSITION_STEPS, help="Where to measure; default: the middle of the sweep.")
 @json_option
 @click.pass_obj
 def settle(session: Session, position_steps: int | None, as_json: bool) -> None:

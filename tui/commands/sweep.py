@@ -7,7 +7,18 @@ from typing import Any
 
 import click
 
-from tui.commands.context import PATH, Session, json_option, options, print_json, request, rig_options
+from tui.commands.context import (
+    PATH,
+    POSITION_STEPS,
+    TEXT,
+    Number,
+    Session,
+    json_option,
+    options,
+    print_json,
+    request,
+    rig_options,
+)
 
 
 @click.command()
@@ -28,16 +39,16 @@ def status(session: Session, as_json: bool) -> None:
 
 
 _plan_options = options(
-    click.option("--name", default="sweep", show_default=True, help="Part of the scan folder's name."),
-    click.option("--first-steps", type=int, help="Position of frame 0 in microsteps."),
-    click.option("--last-steps", type=int, help="Position of the last frame in microsteps."),
-    click.option("--steps-per-frame", type=click.IntRange(min=1), help="Microsteps between two frames."),
+    click.option("--name", type=TEXT, default="sweep", show_default=True, help="Part of the scan folder's name."),
+    click.option("--first-steps", type=POSITION_STEPS, help="Position of frame 0 in microsteps."),
+    click.option("--last-steps", type=POSITION_STEPS, help="Position of the last frame in microsteps."),
+    click.option("--steps-per-frame", type=click.IntRange(1, 100_000), help="Microsteps between two frames."),
     click.option("--mode", type=click.Choice(["step", "fly"]), help="Stop for each frame, or trigger on the fly."),
-    click.option("--settle-ms", type=float, help="Pause between a step and its trigger, in ms."),
-    click.option("--specimen", help="Name of the specimen."),
-    click.option("--operator", help="Name of the operator."),
-    click.option("--notes", help="Free text, stored in the file."),
-    click.option("--tag", "tags", multiple=True, help="May be given more than once."),
+    click.option("--settle-ms", type=Number(0, 60_000), help="Pause between a step and its trigger, in ms."),
+    click.option("--specimen", type=TEXT, help="Name of the specimen."),
+    click.option("--operator", type=TEXT, help="Name of the operator."),
+    click.option("--notes", type=TEXT, help="Free text, stored in the file."),
+    click.option("--tag", "tags", type=TEXT, multiple=True, help="May be given more than once."),
     click.option("--purpose", type=click.Choice(["object", "calibration", "raw"]), help="Use of the scan."),
 )
 

@@ -13,7 +13,9 @@ from pathlib import Path
 
 from textual.binding import Binding
 
+from acquire.contract.config.load import user_config_folder
 from acquire.contract.errors import ConfigError
+from acquire.contract.files import read_text, reason
 from tui.console.screen_table import SCREENS
 
 STOP_KEY = "space"
@@ -42,8 +44,7 @@ QUIT_ENDS_RIG = "leave, which ends the rig; during a sweep it asks first"
 
 def keymap_path(environ: Mapping[str, str] = os.environ) -> Path:
     """Where the operator's keys are read from."""
-    home = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
-    return Path(home) / "sweepscope" / "keys.toml"
+    return user_config_folder(environ) / "keys.toml"
 
 
 def load_keymap(path: Path, known_actions: Callable[[], Collection[str]]) -> dict[str, str]:
@@ -55,11 +56,11 @@ def load_keymap(path: Path, known_actions: Callable[[], Collection[str]]) -> dic
         ConfigError: unreadable, an id that is not known (with the nearest one), or a reserved key.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(read_text(path))
     except FileNotFoundError:
         return {}
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"cannot read the keys in {path}: {error}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"cannot read the keys in {path}: {reason(error)}") from None
     known = known_actions()
     for action, keys in values.items():
         if action not in known:

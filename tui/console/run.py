@@ -31,7 +31,7 @@ def known_actions() -> set[str]:
 
 
 def run_console(
-    options: ConsoleOptions = ConsoleOptions(),  # noqa: B008 - frozen
+    options: ConsoleOptions,
     *,
     run_dir: Path | None = None,
     command_timeout_s: float = 5.0,

@@ -19,7 +19,7 @@ from acquire.contract.scan_data.report_file import Report, read_report
 from acquire.contract.states import State
 from tui.client.follow import ProgressPrinter, follow_scan
 from tui.client.rig_client import ProgressFeed, RigClient
-from tui.console.terminal.terminal import choose_colours, is_terminal, picture_mode
+from tui.console.terminal.terminal import choose_colours, is_terminal, needs_ascii, picture_mode
 from tui.demo.report import DemoVerdict, is_final, report_of
 from tui.demo.rig import DemoOptions, DemoRig
 from tui.processes.all_services import SERVICES, read_url, say, signals_set
@@ -167,7 +167,8 @@ def _complain(text: str) -> None:
 
 
 def _run_on_terminal(options: DemoOptions) -> int:
-    picture = picture_mode(choose_colours("auto"), ascii_only=False)
+    ascii_only = needs_ascii()
+    picture = picture_mode(choose_colours("auto"), ascii_only=ascii_only)
     from tui.console.options import options_for
     from tui.console.run import run_console
 
@@ -179,7 +180,7 @@ def _run_on_terminal(options: DemoOptions) -> int:
 
     # nothing is printed before the console starts: stderr is where it draws
     with DemoRig(options, lambda _text: None) as rig:
-        console = dataclasses.replace(options_for(rig.config), owns_rig=True, picture=picture)
+        console = dataclasses.replace(options_for(rig.config), owns_rig=True, ascii_only=ascii_only, picture=picture)
         status = run_console(console, run_dir=rig.run_dir, on_started=begin)
         say("ending daemon, writer, worker and viewer")
         if background is not None:

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from acquire.contract.calibration import Validity, load_calibration
-from acquire.contract.config.load import LoadedConfig
-from acquire.contract.errors import CalibrationError, NoServiceError, SweepscopeError
+from acquire.contract.config.load import LoadedConfig, home_resolved
+from acquire.contract.errors import CalibrationError, ConfigError, NoServiceError, SweepscopeError
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.run_dir import client_run_dir
 from tui.install.checks import (
@@ -89,11 +89,11 @@ def check_calibration(name: str, camera_kind: str, now: datetime) -> DoctorFindi
         if camera_kind == "simulated":
             return DoctorFinding("calibration", "ok", "built into the simulated rig")
         return DoctorFinding("calibration", "note", "none: maps, no cloud", "set reconstruct.calibration")
-    path = Path(name).expanduser()
     try:
+        path = home_resolved(name, "reconstruct.calibration")
         calibration, _ = load_calibration(path)
         age_days = _age_days(calibration.valid_for, path, now)
-    except (CalibrationError, OSError, ValueError) as error:
+    except (CalibrationError, ConfigError, OSError, ValueError) as error:
         return DoctorFinding(
             "calibration", "wrong", str(error), "set reconstruct.calibration to a calibration, or calibrate"
         )

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from acquire.contract.config.load import home_resolved
+
 
 @dataclass(frozen=True)
 class InstallPaths:
@@ -66,7 +68,7 @@ def machine_paths() -> InstallPaths:
 
 def user_paths(environ: Mapping[str, str] = os.environ) -> InstallPaths:
     """For the user of this process."""
-    home = Path(environ.get("HOME") or Path.home())
+    home = Path(environ.get("HOME") or home_resolved("~", "HOME"))
     config = Path(environ.get("XDG_CONFIG_HOME") or home / ".config")
     share = Path(environ.get("XDG_DATA_HOME") or home / ".local/share")
     return InstallPaths(

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import msgspec
 
+from acquire.contract.config.load import home_resolved
 from acquire.contract.errors import ScanFileError
-from acquire.contract.files import replace_file, sync
+from acquire.contract.files import read_text, reason, replace_file, sync
 from acquire.contract.scan_data.dataset_names import CHECKSUMS_NAME, COPIES_NAME, OWNER_LOCK_NAME
 from acquire.contract.units import format_bytes
 
@@ -45,13 +46,13 @@ def copies_of(folder: Path) -> tuple[Copied, ...]:
     """
     path = folder / COPIES_NAME
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no list of copies")
-        return msgspec.json.decode(path.read_bytes(), type=tuple[Copied, ...])
+        return msgspec.json.decode(read_text(path, MAX_FILE_BYTES), type=tuple[Copied, ...])
     except FileNotFoundError:
         return ()
-    except (OSError, msgspec.MsgspecError) as error:
-        raise ScanFileError(f"{path} cannot be read: {error}; remove it, copies are not changed by that") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ScanFileError(
+            f"{path} cannot be read: {reason(error)}; remove it, copies are not changed by that"
+        ) from None
 
 
 def copy_scan(folder: Path, dest: Path, progress: Progress = lambda _done, _total: None) -> Copied:
@@ -101,7 +102,7 @@ def _files_of(folder: Path) -> list[Path]:
 
 
 def _target(folder: Path, dest: Path, total: int) -> Path:
-    dest = dest.expanduser().resolve()
+    dest = home_resolved(str(dest), "DEST").resolve()
     if not dest.is_dir():
         raise ScanFileError(f"{dest} is not a folder: make it, or mount the disk")
     if dest == folder or folder in dest.parents:

@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+from acquire.contract.files import read_text
+
 MAX_BYTES = 16 * 1024 * 1024
 
 
 def read_object(path: Path) -> dict[str, Any]:
     """The object in the file; its contents never raise."""
     try:
-        if path.stat().st_size > MAX_BYTES:
-            return {}
-        found = json.loads(path.read_bytes())
+        found = json.loads(read_text(path, MAX_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}

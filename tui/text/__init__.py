@@ -1,1 +1,1 @@
-"""Words, signs and widths."""
+"""Words, signs, widths and encodings."""

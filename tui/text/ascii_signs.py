@@ -1,10 +1,13 @@
-"""The console's signs in plain ASCII, for ``--ascii``: one character for each, so that no width changes; pure."""
+"""Our signs in plain ASCII, for ``--ascii`` and streams that cannot show them: one character for each; pure."""
 
 from __future__ import annotations
 
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from acquire.contract.states import SIGNS
+
+if TYPE_CHECKING:
+    from rich.text import Text
 
 ASCII_SIGNS = str.maketrans(
     {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import difflib
 import functools
 import inspect
@@ -18,7 +19,9 @@ import msgspec
 import tomli_w
 
 from acquire.contract.errors import ConfigError
+from acquire.contract.files import read_text, reason
 
+from .allowed import allowed_words
 from .model import RigConfig
 
 ENV_PREFIX = "SWEEPSCOPE_"
@@ -37,21 +40,26 @@ class LoadedConfig:
 
     @property
     def data_dir(self) -> Path:
-        """The folder of all scans, with ``~`` resolved."""
-        return Path(self.rig.storage.data_dir).expanduser()
+        """The folder of all scans, with ``~`` resolved.
+
+        Raises:
+            ConfigError: its home folder is not known, or its name is not UTF-8, which files and messages cannot hold.
+        """
+        return home_resolved(self.rig.storage.data_dir, "storage.data_dir")
 
     def toml(self) -> str:
         """The effective configuration as TOML, every key written out."""
         return tomli_w.dumps(msgspec.to_builtins(self.rig))
 
     def explained(self) -> str:
-        """TOML with each key's manual above it and the origin of its value beside it."""
+        """TOML with each key's manual and allowed values above it, and the origin of its value beside it."""
         blocks = []
         for section, values in msgspec.to_builtins(self.rig).items():
             lines = [f"[{section}]"]
             manual = key_docs(type(getattr(self.rig, section)))
             for key, value in values.items():
                 lines += [f"# {line}" for line in textwrap.wrap(manual.get(key, ""), 110)]
+                lines.append(f"# Allowed: {allowed_words()[f'{section}.{key}']}.")
                 line = tomli_w.dumps({key: value}).strip()
                 lines.append(f"{line}  # {self.origins[f'{section}.{key}']}" if "\n" not in line else line)
             blocks.append("\n".join(lines))
@@ -69,9 +77,35 @@ def find_config_file(flag: str | None, environ: Mapping[str, str] = os.environ) 
             if not Path(named).is_file():
                 raise ConfigError(f"{name} names {named}, which is not there")
             return Path(named)
-    home = environ.get("XDG_CONFIG_HOME") or str(Path("~/.config").expanduser())
-    candidates = (Path("rig.toml"), Path(home) / "sweepscope/rig.toml", Path("/etc/sweepscope/rig.toml"))
+    candidates = [Path("rig.toml"), Path("/etc/sweepscope/rig.toml")]
+    with contextlib.suppress(ConfigError):  # a service may have no home
+        candidates.insert(1, user_config_folder(environ) / "rig.toml")
     return next((path for path in candidates if path.is_file()), None)
+
+
+def user_config_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """The folder of this user's rig.toml, keys.toml and keys.
+
+    Raises:
+        ConfigError: no home folder is known.
+    """
+    return home_resolved(environ.get("XDG_CONFIG_HOME") or "~/.config", "XDG_CONFIG_HOME") / "sweepscope"
+
+
+def home_resolved(folder: str, name: str) -> Path:
+    """``folder`` with ``~`` resolved; ``name`` is what sets it.
+
+    Raises:
+        ConfigError: its home folder is not known, or its name is not UTF-8.
+    """
+    try:
+        found = Path(folder).expanduser()
+        str(found).encode()
+    except RuntimeError:
+        raise ConfigError(f"the home folder in {folder} is not known: set HOME, or {name} to a full path") from None
+    except UnicodeEncodeError:
+        raise ConfigError(f"the folder {folder!r} holds a byte that is not UTF-8: set {name} to another") from None
+    return found
 
 
 def load_config(
@@ -114,16 +148,25 @@ def _check_together(rig: RigConfig) -> None:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read {path}: {error}") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        text = read_text(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {path}: {reason(error)}") from None
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {error}") from None
 
 
 @functools.cache
 def _known_keys() -> tuple[str, ...]:
     return tuple(f"{section}.{key}" for section, keys in msgspec.to_builtins(RigConfig()).items() for key in keys)
+
+
+@functools.cache
+def _nearly_keys() -> dict[str, str]:
+    """Variables that lack an underscore, with the ones that set a key."""
+    names = [key.upper().partition(".") for key in _known_keys()]
+    return {f"{ENV_PREFIX}{part}_{key}": f"{ENV_PREFIX}{part}{ENV_SEPARATOR}{key}" for part, _, key in names}
 
 
 def _merge(values: dict[str, Any], origins: dict[str, str], layer: Mapping[str, Any], origin: str) -> None:
@@ -153,7 +196,13 @@ def _nested(section: str, key: str, value: Any) -> dict[str, Any]:
 
 def _environment(environ: Mapping[str, str]) -> Iterator[tuple[str, str]]:
     for name in sorted(environ):
+        if name in _nearly_keys():
+            raise ConfigError(f"{name} sets nothing: did you mean {_nearly_keys()[name]}?")
         if name.startswith(ENV_PREFIX) and ENV_SEPARATOR in name:
+            try:
+                environ[name].encode()
+            except UnicodeEncodeError:
+                raise ConfigError(f"{name} holds a byte that is not UTF-8: set it anew") from None
             yield name, environ[name]
 
 
@@ -166,16 +215,16 @@ def _parse(text: str) -> Any:
     """A variable's text as TOML would read it; bare words are strings."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 
 def _explain(error: msgspec.ValidationError, origins: Mapping[str, str]) -> str:
-    text = str(error)
-    what, _, where = text.partition(" - at `$.")
-    dotted = where.rstrip("`")
+    what, _, where = str(error).partition(" - at `$.")
+    dotted = where.rstrip("`").partition("[")[0]  # [2] of a list
     origin = origins.get(dotted, "the configuration")
-    return f"{dotted or 'rig.toml'}: {what} (set by {origin})"
+    allowed = allowed_words().get(dotted)
+    return f"{dotted or 'rig.toml'}: {what}{f'; it must be {allowed}' if allowed else ''} (set by {origin})"
 
 
 def key_docs(struct: type[msgspec.Struct]) -> dict[str, str]:

@@ -14,13 +14,16 @@ PositiveMs = Annotated[float, Meta(gt=0, le=600_000)]
 Ms = Annotated[float, Meta(ge=0, le=600_000)]
 Seconds = Annotated[float, Meta(gt=0, le=86_400)]
 Steps = Annotated[int, Meta(ge=-10_000_000, le=10_000_000)]
+_NO_CONTROLS = r"^[^\x00-\x1f]*$"
+Text = Annotated[str, Meta(max_length=4096, pattern=_NO_CONTROLS)]
+"""A path, an address or a name: no control characters."""
 Bytes = Annotated[int, Meta(ge=1_000_000, le=2**40)]
 
 
 class StorageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Where scans are stored, and how often they are synced."""
 
-    data_dir: Annotated[str, Meta(max_length=1024, pattern=r"^[^\x00-\x1f]*$")] = "~/sweepscope-scans"
+    data_dir: Annotated[str, Meta(max_length=1024, pattern=_NO_CONTROLS)] = "~/sweepscope-scans"
     """Folder of all scans; it needs room for whole sweeps."""
     sync_every_frames: Annotated[int, Meta(ge=1, le=100_000)] = 64
     """Frames between two fdatasync: at most so many frames are at the mercy of a power cut."""
@@ -31,7 +34,7 @@ class StageConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: StageKind = "simulated"
     """Which motion controller drives the stage."""
-    port: str = ""
+    port: Text = ""
     """Serial port of the controller; empty looks for the only one there is."""
     um_per_microstep: Annotated[float, Meta(gt=0, le=1000)] = 3.175
     """Travel of one microstep in um (0.001 inch per full step, 8 microsteps)."""
@@ -66,9 +69,9 @@ class CameraConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: CameraKind = "simulated"
     """Which camera driver is used; ``replay`` shows the pictures of a folder or a scan again."""
-    device: Annotated[str, Meta(max_length=4096)] = ""
+    device: Text = ""
     """``genicam``: the serial number, ``uvc``: /dev/videoN, ``replay``: the folder or the scan; empty: the only one."""
-    producer: Annotated[str, Meta(max_length=4096)] = ""
+    producer: Text = ""
     """``genicam``: the maker's GenTL producer (.cti); empty: those in GENICAM_GENTL64_PATH."""
     trigger: Annotated[str, Meta(min_length=1, max_length=64)] = "Line1"
     """``genicam``: the input that the TRIGGER wire goes to; ``host``: the camera runs freely and the host picks the
@@ -115,7 +118,7 @@ class SweepConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class ReconstructConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How frames become points when a command says nothing else."""
 
-    calibration: str = ""
+    calibration: Text = ""
     """Path of calibration.json; empty: the simulated rig's own, or none."""
     contrast: Annotated[int, Meta(ge=0, le=255)] = 70
     """Least brightness range of a pixel that is used, in counts of 8 bit."""
@@ -177,7 +180,7 @@ class LampConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The page in the browser."""
 
-    host: str = "127.0.0.1"
+    host: Text = "127.0.0.1"
     """Address to bind; anything but loopback makes the page view-only."""
     port: Annotated[int, Meta(ge=0, le=65_535)] = 8080
     """TCP port; 0 takes any free one."""
@@ -190,11 +193,11 @@ class ViewerConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class NetworkConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The way in from other machines, for those whose key is allowed ('sweepscope keys')."""
 
-    host: str = ""
+    host: Text = ""
     """Address to bind; empty: nothing is offered to other machines. 0.0.0.0 offers to every network there is."""
     port: Annotated[int, Meta(ge=1, le=65_532)] = 5570
     """First of four TCP ports: status, results, preview, commands."""
-    keys_dir: str = ""
+    keys_dir: Text = ""
     """Folder of the rig's key and of the list of allowed keys; empty: of an installed rig /etc/sweepscope/keys."""
 
 

@@ -40,8 +40,18 @@ _MESSAGE: Final[msgspec.msgpack.Decoder[Message]] = msgspec.msgpack.Decoder(AnyM
 
 
 def encode(message: Message) -> bytes:
-    """MessagePack bytes of a message."""
-    return _ENCODER.encode(message)
+    """MessagePack bytes of a message.
+
+    Raises:
+        ProtocolError: a text in it holds a byte that is not UTF-8, as file names of other systems do, or a number
+            has more than 64 bits.
+    """
+    try:
+        return _ENCODER.encode(message)
+    except UnicodeEncodeError as error:
+        raise ProtocolError(f"{error.object[:120]!r} holds a byte that is not UTF-8: rename it") from None
+    except OverflowError:
+        raise ProtocolError("a number has more than 64 bits: give a smaller one") from None
 
 
 def decode(header: bytes | memoryview) -> Message:

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.files import replace_file
+from acquire.contract.files import read_text, reason, replace_file
 
 from .dataset_names import NOTES_NAME
 
@@ -39,13 +39,13 @@ def notes_of(folder: Path, recorded: Mapping[str, Any]) -> Notes:
     """
     path = folder / NOTES_NAME
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ScanFileError(f"{path} is over {MAX_FILE_BYTES} bytes: these are not our notes")
-        return msgspec.json.decode(path.read_bytes(), type=Notes)
+        return msgspec.json.decode(read_text(path, MAX_FILE_BYTES), type=Notes)
     except FileNotFoundError:
         return _recorded(recorded)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise ScanFileError(f"{path} cannot be read: {error}; fix it, or remove it to see what was recorded") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ScanFileError(
+            f"{path} cannot be read: {reason(error)}; fix it, or remove it to see what was recorded"
+        ) from None
 
 
 def _recorded(fields: Mapping[str, Any]) -> Notes:
@@ -67,7 +67,7 @@ def write_notes(folder: Path, notes: Notes) -> Notes:
     try:
         checked = msgspec.convert(msgspec.to_builtins(stamped), Notes)
         replace_file(path, msgspec.json.format(msgspec.json.encode(checked), indent=1) + b"\n", durable=True)
-    except msgspec.ValidationError as error:
+    except ValueError as error:
         raise ScanFileError(f"these notes are not kept: {error}") from None
     except OSError as error:
         raise ScanFileError(f"cannot write {path}: {error.strerror}; the notes are as they were") from None

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import ScanFileError
-from acquire.contract.files import replace_file
+from acquire.contract.files import read_text, replace_file
 
 from .dataset_names import CHECK_ROLES, MARKS_NAME, MEASURED, MEASURED_BYTES, FrameStatus
 from .file_layout import read_layout
@@ -22,8 +22,8 @@ from .file_layout import read_layout
 def read_marks(folder: Path) -> dict[str, float]:
     """``marks.json`` beside a scan: what was measured so far, by the names of ``End.checks``; empty without one."""
     try:
-        return _numbers((folder / MARKS_NAME).read_text(encoding="utf-8", errors="replace")[:MEASURED_BYTES])
-    except OSError:
+        return _numbers(read_text(folder / MARKS_NAME, MEASURED_BYTES))
+    except (OSError, ValueError):
         return {}
 
 

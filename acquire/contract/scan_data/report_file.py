@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from acquire.contract.errors import ScanFileError
+from acquire.contract.files import read_text, reason
 
 from .dataset_names import REPORT_NAME
 
@@ -125,11 +126,9 @@ def read_report(path: Path) -> Report:
         ScanFileError: not there, or not a report.
     """
     try:
-        if path.stat().st_size > MAX_REPORT_BYTES:
-            raise ScanFileError(f"{path} is over {MAX_REPORT_BYTES} bytes: it is no report")
-        return msgspec.json.decode(path.read_bytes(), type=Report)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ScanFileError(f"{path} is not a readable report: {error}") from None
+        return msgspec.json.decode(read_text(path, MAX_REPORT_BYTES), type=Report)
+    except (OSError, ValueError, RecursionError) as error:
+        raise ScanFileError(f"{path} is not a readable report: {reason(error)}") from None
 
 
 def find_report(folder: Path) -> Report | None:

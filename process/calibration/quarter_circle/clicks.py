@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel
 from acquire.contract.errors import CalibrationError
+from acquire.contract.files import read_text, reason
 
 from .calibrate import QuarterCircle, edge_turns, on_flat
 from .optics import Slide, plane_normal
@@ -42,14 +43,12 @@ def read_clicks(path: Path) -> list[Click]:
         CalibrationError: the file is missing or not readable, or holds no such points.
     """
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise CalibrationError(f"{path} is over {MAX_FILE_BYTES} bytes: it holds no clicked points")
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, MAX_FILE_BYTES)
         if path.suffix.lower() == ".json":
             return msgspec.convert(json.loads(text), list[Click])
         return msgspec.convert(_rows(text), list[Click], strict=False)
     except OSError as error:
-        raise CalibrationError(f"cannot read {path}: {error.strerror}") from None
+        raise CalibrationError(f"cannot read {path}: {reason(error)}") from None
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path} holds no points such as {EXAMPLE}: {str(error)[:120]}") from None
 

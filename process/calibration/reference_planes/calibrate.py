@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import CameraModel
 from acquire.contract.errors import CalibrationError
+from acquire.contract.files import read_text
 from process.calibration.board.poses import find_pose
 from process.calibration.light_plane import robust
 from process.cloud.triangulation import Rays, rays
@@ -126,7 +127,7 @@ def read_planes(path: Path, camera: CameraModel) -> list[ReferencePlane]:
         CalibrationError: not there, not JSON, or a key missing; by name.
     """
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))["reference_planes"]
+        fields = json.loads(read_text(path))["reference_planes"]
         rectangle = (float(fields["marker_rectangle_mm"][0]), float(fields["marker_rectangle_mm"][1]))
         return [
             plane_from_markers(

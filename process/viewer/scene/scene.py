@@ -12,6 +12,7 @@ import viser
 from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, load_calibration, parse_calibration
+from acquire.contract.config.load import home_resolved
 from acquire.contract.errors import SweepscopeError
 from acquire.contract.messaging.messages import Status
 from acquire.contract.process.clocks import Clock
@@ -212,7 +213,7 @@ class CalibrationLookup:
         self._found: Calibration | None = None
         if before:
             with contextlib.suppress(SweepscopeError):  # the services that need it report what is wrong with it
-                self._found, _ = load_calibration(Path(before).expanduser())
+                self._found, _ = load_calibration(home_resolved(before, "reconstruct.calibration"))
         self._looks_left = 0
         self._next_ns = 0
 

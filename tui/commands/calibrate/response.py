@@ -79,7 +79,7 @@ def _table(path: Path) -> dict[str, float]:
     if not path.is_file():
         return {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             return {row[0].strip(): float(row[1]) for row in csv.reader(file) if row and not row[0].startswith("#")}
     except (OSError, ValueError, IndexError) as error:
         raise CalibrationError(f"{path} is no table of name,ms: {error}") from None

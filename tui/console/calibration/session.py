@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from acquire.contract.errors import CalibrationError
-from acquire.contract.files import replace_file
+from acquire.contract.files import read_text, replace_file
 from tui.scans.json_file import read_object
 
 FOLDER_NAME = "calibration"
@@ -84,8 +84,8 @@ class CalibrationSession:
 
     def _read_board(self) -> BoardPattern:
         try:
-            return msgspec.json.decode((self.folder / BOARD_NAME).read_bytes(), type=BoardPattern)
-        except (OSError, msgspec.MsgspecError):
+            return msgspec.json.decode(read_text(self.folder / BOARD_NAME), type=BoardPattern)
+        except (OSError, ValueError):
             return BoardPattern()
 
     def save_board(self, board: BoardPattern) -> None:

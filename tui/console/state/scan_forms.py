@@ -98,7 +98,10 @@ def parse_folder(text: str) -> str:
     Raises:
         ValueError: it is not absolute.
     """
-    path = Path(text).expanduser()
+    try:
+        path = Path(text).expanduser()
+    except RuntimeError:
+        raise ValueError(f"the home folder in {text} is not known: give the whole path") from None
     if not text or not path.is_absolute():
         raise ValueError("give the whole path of a folder, for example /mnt/disk/scans")
     return str(path)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, MutableMapping
 
 from acquire.contract.errors import SweepscopeError
+from tui.text.streams import draws_signs, keep_widths
 
 _MOUSE_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l"
 SSH_FRAMES_PER_S = "15"
@@ -28,12 +29,17 @@ def is_terminal() -> bool:
     return not not_terminals()
 
 
-def require_terminal(what: str) -> None:
-    """Raise SweepscopeError unless stdin, stdout and stderr are all terminals."""
+def require_terminal(what: str, environ: Mapping[str, str] = os.environ) -> None:
+    """Raise SweepscopeError unless stdin, stdout and stderr are all terminals that can place a cursor."""
     missing = not_terminals()
     if missing:
         raise SweepscopeError(
             f"{what} needs a terminal and {', '.join(missing)} is not one: run it without pipes, "
+            "or use 'sweepscope status' and 'sweepscope scan'"
+        )
+    if environ.get("TERM") == "dumb":
+        raise SweepscopeError(
+            f"{what} needs a terminal that can place a cursor, and TERM=dumb cannot: open another terminal, "
             "or use 'sweepscope status' and 'sweepscope scan'"
         )
 
@@ -51,6 +57,11 @@ def colours_of(environ: Mapping[str, str], wanted: str = "auto") -> str:
         return "truecolor"
     term = environ.get("TERM", "")
     return "256" if "256" in term or term.startswith(("xterm-kitty", "tmux", "alacritty", "foot")) else "16"
+
+
+def needs_ascii() -> bool:
+    """True if the encoding of this terminal lacks our signs (Textual draws on stderr)."""
+    return not draws_signs(sys.stderr)
 
 
 def picture_mode(colours: str, *, ascii_only: bool) -> str:
@@ -79,6 +90,7 @@ def prepare_terminal(environ: MutableMapping[str, str] = os.environ) -> None:
         environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    keep_widths(sys.stderr)
     sys.stderr.write(_MOUSE_OFF)
     sys.stderr.flush()
     os.environ.setdefault("TEXTUAL_ANIMATIONS", "none")

@@ -102,7 +102,7 @@ class _MeasuredFile:
         self._file, self._meter = file, meter
 
     def write(self, text: str) -> int:
-        self._do(self._file.write, text, nbytes=len(text.encode()))
+        self._do(self._file.write, text, nbytes=_size(text))
         return len(text)
 
     def flush(self) -> None:
@@ -125,6 +125,10 @@ class _MeasuredFile:
         return self._file.isatty()
 
 
+def _size(text: str) -> int:
+    return len(text.encode("utf-8", "surrogateescape"))  # names of files may hold bytes that are not UTF-8
+
+
 class _Stoppable(Protocol):
     meter: OutputMeter
 
@@ -142,7 +146,7 @@ class ConsoleDriver(LinuxDriver):
 
     def write(self, data: str) -> None:
         """Hand output to the writing thread."""
-        self._meter.handed(len(data.encode()))
+        self._meter.handed(_size(data))
         super().write(data)
 
     def ask(self, *, picture: bool) -> None:

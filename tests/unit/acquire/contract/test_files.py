@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from acquire.contract.files import leftovers, replace_file
+from acquire.contract import files
+from acquire.contract.files import leftovers, read_text, replace_file
 
 NO_PID = 2**22 + 1
 """Above the kernel's highest process number."""
@@ -79,3 +80,57 @@ def test_what_a_dead_process_left_is_told_from_what_a_living_one_writes(target):
     for path in (dead, target.with_name(f".maps.h5.{os.getpid()}.tmp")):
         path.write_bytes(b"half")
     assert leftovers(target.parent) == [dead]
+
+
+# ---- text that any editor may have written ----
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"\xef\xbb\xbf[stage]\r\n", "[stage]\r\n"),
+        (b"", ""),
+        (b"\xef\xbb\xbf", ""),
+        ("f\u00fcr".encode(), "f\u00fcr"),
+    ],
+    ids=["byte order mark", "empty", "only a mark", "UTF-8"],
+)
+def test_utf8_is_read_with_and_without_a_byte_order_mark(target, content, text):
+    target.write_bytes(content)
+    assert read_text(target) == text
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[stage]".encode("utf-16"), "UTF-16"),
+        ("\ufeff[stage]".encode("utf-16-be"), "UTF-16"),
+        ("[stage]".encode("utf-16-le"), "NUL"),
+        (b"a\0b", "NUL byte at byte 1"),
+        (b"name = 1\nf\xfcr = 2\n", "line 2 .* not UTF-8"),
+        (b"x" * 101, "over 100 bytes"),
+    ],
+)
+def test_what_is_no_utf8_text_is_told_from_the_rest(target, content, words):
+    target.write_bytes(content)
+    with pytest.raises(ValueError, match=words):
+        read_text(target, max_bytes=100)
+
+
+def test_a_folder_and_a_device_are_no_text(tmp_path):
+    with pytest.raises(ValueError, match="folder"):
+        read_text(tmp_path)
+    with pytest.raises(ValueError, match="regular"):
+        read_text(Path("/dev/zero"))
+
+
+def test_a_pipe_is_read_and_one_without_a_writer_ends_by_itself(tmp_path, monkeypatch):
+    read_end, write_end = os.pipe()
+    os.write(write_end, b"\xef\xbb\xbf{}")
+    os.close(write_end)
+    assert read_text(Path(f"/dev/fd/{read_end}")) == "{}"
+    os.close(read_end)
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(files, "PIPE_S", 0.05)
+    with pytest.raises(ValueError, match="nothing was written"):
+        read_text(tmp_path / "pipe")

@@ -74,5 +74,5 @@ def test_a_list_of_scans_does_without_a_report_that_cannot_be_read(tmp_path, tex
 def test_a_report_that_is_too_large_is_refused_unread(tmp_path):
     with (tmp_path / "report.json").open("wb") as file:
         file.truncate(2**40)
-    with pytest.raises(ScanFileError, match="no report"):
+    with pytest.raises(ScanFileError, match="not a readable report: it is over"):
         read_report(tmp_path / "report.json")
