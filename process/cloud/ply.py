@@ -122,8 +122,8 @@ def _header_lines(file: IO[bytes]) -> list[list[str]]:
     if file.readline(_MOST_HEADER_BYTES).strip() != b"ply":
         raise ValueError("it does not begin as a PLY")
     lines: list[list[str]] = []
-    while file.tell() < _MOST_HEADER_BYTES:
-        words = file.readline(_MOST_HEADER_BYTES).decode("ascii", "replace").split()
+    while file.tell() < _MOST_HEADER_BYTES and (line := file.readline(_MOST_HEADER_BYTES)):
+        words = line.decode("ascii", "replace").split()
         if words == ["end_header"]:
             return lines
         if words and words[0] not in ("comment", "obj_info"):

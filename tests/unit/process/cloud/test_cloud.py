@@ -162,6 +162,15 @@ def test_a_cloud_as_text_or_cut_short_is_refused_in_one_line(tmp_path):
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(ScanFileError, match="cut short: its header promises 5 points"):
         read_vertices(path, instead="")
+    for content in (
+        b"",
+        b"ply\n",
+        b"ply\nformat binary_little_endian 1.0\nelement vertex 5",
+        b"ply\n" + b"\n" * 100_000,
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ScanFileError):
+            read_vertices(path, instead="")
     with pytest.raises(ScanFileError, match="No such file"):
         read_vertices(tmp_path / "nothing.ply", instead="")
 
