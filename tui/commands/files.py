@@ -21,7 +21,9 @@ _SCAN = click.argument("scan", type=PATH)
 @click.argument("target", metavar="SCAN.h5", type=PATH)
 @click.option("--force", is_flag=True, help="Replace an existing SCAN.h5.")
 @click.option("--um-per-frame", type=Number(-1e6, 1e6), help="Travel of the stage per frame, where known.")
-@click.option("--pattern", type=TEXT, metavar="GLOB", default="", help="Take the pictures of these names only: 'left_*.png'.")
+@click.option(
+    "--pattern", type=TEXT, metavar="GLOB", default="", help="Take the pictures of these names only: 'left_*.png'."
+)
 @click.option("--missing-as-missing", is_flag=True, help="Keep the places of missing or unreadable pictures empty.")
 @click.option("--as-is", is_flag=True, help="Take what is there in natural order, without proof.")
 @click.option("--bit-depth", type=click.IntRange(8, 16), help="Bits used of 16-bit pictures [by their values].")
