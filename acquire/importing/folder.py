@@ -70,7 +70,7 @@ class ImportSummary(msgspec.Struct, frozen=True):
         """Summary in one line."""
         shape = f"{self.format.width} x {self.format.height} {self.format.pixel_format}, {self.format.bit_depth} bit"
         count = f"{self.frames}" if self.complete else f"NOT COMPLETE, {self.frames} of {self.expected}"
-        line = f"{self.path}: {count} frames of {shape}, from {self.first_frame} to {self.last_frame}"
+        line = f"{readable(self.path)}: {count} frames of {shape}, from {self.first_frame} to {self.last_frame}"
         return "; ".join(part for part in (line, self.numbers, self.missing, self.note) if part)
 
 

@@ -77,7 +77,7 @@ def candidate_in(place: Path, asked: Asked) -> Candidate:
             )
         return _stack(place, place)
     listing = _chosen(list_pictures(place), asked)
-    if len(listing.names) == 1 and not listing.odd:
+    if len(listing.names) == 1 and _EMPTY not in listing.odd.values():
         path = listing.paths[0]
         if path.suffix.lower() in (".tif", ".tiff") and len(whole(path, picture_bytes(path)).pages) > 1:
             return _stack(path, place)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import struct
+import threading
+import warnings
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,6 +31,7 @@ _IMAGES_CHANNELS: Final = (
 """As ImageJ and OME write them into the description of a TIFF."""
 _MOST_PAGES: Final = 200_000
 _TAKEN, _TAKEN_FRACTION, _CHANGED, _EXIF_IFD = 36867, 37521, 306, 0x8769
+_WARNINGS: Final = threading.Lock()
 _CUT_SHORT: Final = "is no readable picture (cut short)"
 
 
@@ -172,14 +175,20 @@ def _text(raw: Buffer, order: str, tag: _Tag | None, *, big: bool) -> str:
     return value[:count].rstrip(b"\0").decode("utf-8", "replace")
 
 
-def _time_of(exif: bytes) -> tuple[datetime, bool] | None:
-    tags: dict[int, Any] = {}
+def _tags(exif: bytes) -> dict[int, Any]:
     found = Image.Exif()
-    try:
-        found.load(exif)
-        tags = {**dict(found), **dict(found.get_ifd(_EXIF_IFD))}
-    except Exception:  # noqa: BLE001 - a damaged remark in a picture is no reason to refuse it
-        return None
+    # Pillow warns of remarks that are cut short; filters of warnings are of the process, not of a thread
+    with _WARNINGS, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found.load(exif)
+            return {**dict(found), **dict(found.get_ifd(_EXIF_IFD))}
+        except Exception:  # noqa: BLE001 - a damaged remark in a picture is no reason to refuse it
+            return {}
+
+
+def _time_of(exif: bytes) -> tuple[datetime, bool] | None:
+    tags = _tags(exif)
     for tag, by_camera in ((_TAKEN, True), (_CHANGED, False)):
         try:
             when = datetime.strptime(str(tags.get(tag, "")).strip("\0 ")[:19], "%Y:%m:%d %H:%M:%S")

@@ -73,7 +73,7 @@ def list_pictures(folder: Path) -> Listing:
             + _where_they_are(folder)
             + _what_else_there_is(folder)
         )
-    return Listing(folder, natsorted(names), {name: odd[name] for name in natsorted(odd)})
+    return Listing(folder, natsorted(names), {name: odd[name] for name in sorted(odd)})
 
 
 def _what_else(entry: os.DirEntry[str]) -> str:
@@ -126,7 +126,7 @@ def told(problems: Iterable[tuple[str, str]]) -> str:
 def _plural(why: str) -> str:
     verb, _, rest = why.partition(" ")
     return (
-        {"is": "are", "holds": "hold"}.get(verb, verb)
+        {"is": "are", "has": "have", "holds": "hold"}.get(verb, verb)
         + " "
         + rest.replace("no readable picture", "no readable pictures")
     )

@@ -63,8 +63,10 @@ def _from_folder(folder: Path) -> tuple[list[tuple[float, Any]], int]:
             continue
         seen.add(pixels)
         series.append((exposure_ms, pixels))
-    if odd:
-        raise CalibrationError(f"{told(odd)}: mend them, or take them out")
+    if not series:
+        raise CalibrationError(f"no picture in {folder} can be used: {told(odd)}")
+    for one in odd:
+        click.echo(f"left out: {told([one])}", err=True)
     if len({pixels.dtype for _, pixels in series}) > 1:
         raise CalibrationError(f"the pictures in {folder} are of 8 and of 16 bit: take all with the same settings")
     if series[0][1].dtype == "uint8":

@@ -261,6 +261,13 @@ def test_a_recording_must_be_named_and_readable(tmp_path):
         ReplayCamera(recording(tmp_path / "no-such")).open(lambda _event: None)
 
 
+def test_a_recording_with_a_missing_picture_is_refused_and_import_is_named(pictures):
+    (pictures / "frame2.png").unlink()
+    with pytest.raises(ScanFileError, match=r"frame2 is missing between frame1 and frame3.*sweepscope import") as error:
+        ReplayCamera(recording(pictures)).open(lambda _event: None)
+    assert "--as-is" not in str(error.value), "that is an option of import"
+
+
 # ---- a camera's own clock ----
 
 

@@ -153,3 +153,14 @@ def test_pictures_in_folders_inside_are_pointed_to(tmp_path):
 def test_problems_are_told_by_reason_and_cut_short():
     assert told([("a", "is empty"), ("b", "holds x"), ("c", "is empty")]) == "a, c are empty; b holds x"
     assert told([(str(k), "is empty") for k in range(20)]) == "0, 1, 2, 3, 4, 5, 6, 7 and 12 more are empty"
+
+
+@pytest.mark.parametrize("cut", [10, 30, 60])
+def test_a_damaged_remark_in_a_picture_is_passed_over_without_a_word(tmp_path, capfd, cut):
+    exif = Image.Exif()
+    exif[306], exif.get_ifd(0x8769)[36867] = "2021:03:04 12:00:01", "2021:03:04 12:00:00"
+    raw = exif.tobytes()
+    whole = encoded("JPEG", exif=raw[:cut] + bytes(len(raw) - cut))
+    assert read_picture(file_of(tmp_path, whole)).shape == (40, 30)
+    look_into(whole).taken_at()
+    assert capfd.readouterr() == ("", "")

@@ -134,6 +134,9 @@ def test_two_stacks_are_not_one_sequence(tmp_path):
     with pytest.raises(ScanFileError, match="2 series"):
         prove_sequence(tmp_path)
     assert len(prove_sequence(tmp_path, Asked(pattern="a.tif")).frames) == 3
+    (tmp_path / "b.tif").unlink()
+    (tmp_path / "thumbs.png").mkdir()
+    assert len(prove_sequence(tmp_path).frames) == 3
 
 
 def test_a_picture_that_changes_after_it_was_looked_at_is_refused(tmp_path):

@@ -48,13 +48,16 @@ def test_no_view_at_all_is_refused_with_each_reason(tmp_path):
         read_pictures((tmp_path,))
 
 
-def test_exposures_that_cannot_be_used_are_all_named(tmp_path):
-    view(tmp_path / "white-10ms.png")
+def test_exposures_that_cannot_be_used_are_left_out_by_name(tmp_path, capsys):
     view(tmp_path / "white.png")
     (tmp_path / "white-20ms.png").write_bytes(b"no")
     with pytest.raises(CalibrationError, match=r"white\.png has no exposure") as error:
         _from_folder(tmp_path)
     assert "white-20ms.png is no readable picture" in str(error.value)
+    view(tmp_path / "white-10ms.png")
+    assert [exposure_ms for exposure_ms, _ in _from_folder(tmp_path)[0]] == [10.0]
+    said = capsys.readouterr().err
+    assert "left out: white.png has no exposure" in said and "left out: white-20ms.png is no readable" in said
 
 
 def test_exposures_of_twelve_bits_in_sixteen_have_twelve(tmp_path):
