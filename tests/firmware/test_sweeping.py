@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from acquire.contract.errors import CommandRefusedError
 from acquire.stages.protocol import Held, Moved, Segment, SegmentDone, Stopped, Triggered
@@ -84,6 +85,7 @@ def test_fly_mode_without_credit_backs_up_and_fires_at_the_right_microstep(bench
 
 @pytest.mark.parametrize("segment", [STEP, FLY], ids=["step", "fly"])
 def test_a_hold_and_a_resume_lose_and_double_nothing(bench, segment):
+    segment = replace(segment, count=120)  # on a busy machine the holds come late, but before its end
     bench.stage.begin_segment(segment, segment.count - 1)
     for at in (2, 5, 6):
         bench.wait_until(lambda event, at=at: isinstance(event, Triggered) and event.shot_index >= at)

@@ -20,7 +20,7 @@ from textual.dom import DOMNode
 
 from acquire.contract.permissions import PERMISSIONS
 from tui.console.jobs import Jobs
-from tui.console.keys import APP_BINDINGS, QUIT_ENDS_RIG, STOP_KEY
+from tui.console.keys import APP_BINDINGS, QUIT_ENDS_RIG, STOP_KEY, TYPING_STOP_KEY
 from tui.console.link.messages import LogMessage, Updates
 from tui.console.options import ConsoleOptions
 from tui.console.screen_table import SCREENS
@@ -67,6 +67,8 @@ class ConsoleApp(App[None]):
         self.state = ConsoleState(options.me, options.next_scan, clock)
         self.jobs = Jobs(self.say, self.refresh_view, self.call_later)
         self.meter = OutputMeter()
+        self.typed_ahead: set[events.Key] = set()
+        """Spaces that may belong to a text whose dialog is not open yet, until the event loop takes them."""
         self._rig: RigConnection = connect(self.post_message)
         self._on_started = on_started
         self._screens: dict[str, RigScreenBase] = {}
@@ -201,12 +203,21 @@ class ConsoleApp(App[None]):
     async def on_event(self, event: events.Event) -> None:
         """STOP before anything else sees the key: Textual's priority bindings give way to a field that takes text."""
         if isinstance(event, events.Key) and not event.is_forwarded:
-            if event.key == STOP_KEY:
+            if event in self.typed_ahead:
+                self.typed_ahead.discard(event)  # it goes the way of the letters before it, behind what they open
+            elif self.means_stop(event.key):
                 self.action_stop()
                 return
             if isinstance(self.screen, Dialog) and not self.screen.may_take(event.key, self.now_s()):
                 return
         await super().on_event(event)
+
+    def means_stop(self, key: str) -> bool:
+        """True if this key is STOP now; in a dialog with fields for text the space bar is not. Any thread may ask."""
+        if key != STOP_KEY:
+            return key == TYPING_STOP_KEY
+        screen = self.screen_stack[-1] if self.screen_stack else None
+        return not (isinstance(screen, Dialog) and screen.TAKES_TEXT)
 
     def stop_early(self) -> None:
         """Send STOP from the thread that reads the keys, even while nothing can be painted; the key itself follows."""
@@ -219,6 +230,11 @@ class ConsoleApp(App[None]):
             self._rig.send("stop")
         self.state.view = replace(self.state.view, stop_words=self.state.stop.words)
         self.refresh_view()
+
+    def action_space_typed_ahead(self) -> None:
+        """A space behind letters: STOP, unless they have opened a dialog for text meanwhile."""
+        if self.means_stop(STOP_KEY):
+            self.action_stop()
 
     def action_go(self, name: str) -> None:
         """Switch to a screen."""

@@ -19,7 +19,9 @@ from acquire.contract.files import read_text, reason
 from tui.console.screen_table import SCREENS
 
 STOP_KEY = "space"
-RESERVED = frozenset({STOP_KEY, "question_mark", "?", "ctrl+p", ":", "colon"}) | {
+TYPING_STOP_KEY = "ctrl+x"
+"""STOP everywhere, also in a dialog with fields for text, where the space bar types a space."""
+RESERVED = frozenset({STOP_KEY, TYPING_STOP_KEY, "question_mark", "?", "ctrl+p", ":", "colon"}) | {
     str(number) for number in range(1, len(SCREENS) + 1)
 }
 """Keys that mean the same everywhere."""
@@ -33,6 +35,7 @@ APP_BINDINGS = [
     Binding("T", "control", "control", id="control", tooltip="take control of the rig, or release it"),
     Binding("colon", "palette", "actions", id="palette", tooltip="all actions of all screens (also ctrl+p)"),
     Binding("ctrl+p", "palette", "actions", show=False),
+    Binding(STOP_KEY, "space_typed_ahead", "STOP", show=False),
     Binding("ctrl+t", "theme", "colours", id="theme", tooltip="next colours: dark, light, high contrast"),
     Binding("q", "quit", "quit", id="quit", tooltip="leave; a sweep goes on without this screen"),
     Binding("question_mark", "help", "help", show=False, id="help"),

@@ -106,6 +106,7 @@ def test_the_light_plane_is_calibrated_from_the_terminal_with_sweeps_over_the_bo
             terminal.wait_for("of full scale; locked")
             terminal.press("w")
             terminal.wait_for(f"board-{number}  SAVED")
+            terminal.wait_for("● IDLE")  # the outcome is shown before the rig is idle
         terminal.press("g")
         terminal.wait_for("PASSED: 2 surfaces")
         terminal.press("q")

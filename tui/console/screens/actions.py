@@ -1,6 +1,6 @@
 """The searchable list of actions: help of one screen, or the palette over all; shows why an action cannot be done now.
 
-Not Textual's command palette: that one has neither keys nor reasons, and does not leave the space bar to STOP.
+Not Textual's command palette: that one has neither keys nor reasons.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from textual.widgets.option_list import Option
 
 from tui.console.screen_table import SCREENS
 from tui.console.screens.base import RigScreenBase
-from tui.console.screens.dialogs import Dialog, LineInput
+from tui.console.screens.dialogs import STOP_HINT, Dialog, LineInput
 
 GLOSSARY = (
     "committed: in the file, survives the death of any program; durable: survives a power cut; "
@@ -54,6 +54,7 @@ class ActionEntry:
 class ActionList(Dialog[tuple[str, str] | None]):
     """Answers with the screen and the action that was chosen; None when it was left."""
 
+    TAKES_TEXT = True
     BINDINGS = [
         Binding("escape", "leave", "leave"),
         Binding("down", "move(1)", "next", show=False),
@@ -93,7 +94,7 @@ class ActionList(Dialog[tuple[str, str] | None]):
         """The search field, the list, the summary."""
         with Vertical() as box:
             box.border_title = self._title_words
-            yield LineInput(placeholder="type to search; Enter runs it, Escape leaves, SPACE is STOP", id="search")
+            yield LineInput(placeholder=f"type to search; Enter runs it, Escape leaves; {STOP_HINT}", id="search")
             yield OptionList(*self._options(), id="found")
             if self._summary:
                 yield Static(self._summary, classes="hint", markup=False)

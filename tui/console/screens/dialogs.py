@@ -15,7 +15,7 @@ from textual.widgets import Input, Static
 
 TYPE_AHEAD_S = 0.3
 """A dialog that can do harm ignores keys for so long, so that type-ahead does not answer it."""
-SPACE_HINT = "SPACE is STOP here too: type _ for a space"
+STOP_HINT = "CTRL+X = STOP while this is open"
 
 R = TypeVar("R")
 
@@ -25,6 +25,8 @@ class Dialog(ModalScreen[R]):
 
     DANGEROUS: ClassVar[bool] = False
     """True: keys that were typed before the dialog could be read are ignored."""
+    TAKES_TEXT: ClassVar[bool] = False
+    """True: the space bar types a space here, and only ctrl+x is STOP."""
     DEFAULT_CSS = """
     Dialog { align: center middle; background: $background 60%; }
     Dialog > Vertical { width: 72; max-width: 96%; height: auto; max-height: 96%; border: round $accent;
@@ -47,6 +49,16 @@ class Dialog(ModalScreen[R]):
         """From now on it can be read."""
         if self._shown_s is None:
             self._shown_s = getattr(self.app, "now_s", time.monotonic)()
+        self._show_stop_key()
+
+    def on_unmount(self) -> None:
+        """The screen beneath is in view again."""
+        self._show_stop_key()
+
+    def _show_stop_key(self) -> None:
+        refresh_view = getattr(self.app, "refresh_view", None)
+        if self.TAKES_TEXT and refresh_view is not None:
+            refresh_view()
 
     def action_leave(self) -> None:
         """Leave without an answer."""
@@ -54,20 +66,12 @@ class Dialog(ModalScreen[R]):
 
 
 class LineInput(Input):
-    """A field of one line without a frame. In one for ``words``, ``_`` becomes a space: the space bar is STOP."""
+    """A field of one line without a frame."""
 
     DEFAULT_CSS = """
     LineInput, LineInput:focus { border: none; height: 1; padding: 0; background: $panel; }
     LineInput:focus { background: $primary 40%; }
     """
-
-    def __init__(self, value: str = "", *, words: bool = False, **options: Any) -> None:
-        super().__init__(value, **options)
-        self._words = words
-
-    def insert_text_at_cursor(self, text: str) -> None:
-        """Insert what was typed or pasted."""
-        super().insert_text_at_cursor(" " if self._words and text == "_" else text)
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,6 @@ class FormField:
     name: str
     label: str
     value: str
-    words: bool = False
-    """Free text, in which ``_`` is a space."""
     help: str = ""
     """Unit, limits, an example."""
 
@@ -86,6 +88,7 @@ class FormField:
 class FormDialog(Dialog[Any]):
     """Asks for several values; the answer is what ``parse`` makes of the texts, None when it was left."""
 
+    TAKES_TEXT = True
     BINDINGS = [
         Binding("escape", "leave", "leave"),
         Binding("up", "app.focus_previous", "previous", show=False),
@@ -118,13 +121,13 @@ class FormDialog(Dialog[Any]):
             with Grid():
                 for field in self._fields:
                     yield Static(field.label, markup=False)
-                    yield LineInput(field.value, words=field.words, id=f"field-{field.name}", select_on_focus=True)
+                    yield LineInput(field.value, id=f"field-{field.name}", select_on_focus=True)
             for field in self._fields:
                 if field.help:
                     yield Static(f"{field.label}: {field.help}", classes="hint", markup=False)
-            space = SPACE_HINT if any(field.words for field in self._fields) else "SPACE is STOP"
-            hint = f"Enter {self._done}, Tab goes to the next field, Escape leaves; {space}"
+            hint = f"Enter {self._done}, Tab goes to the next field, Escape leaves"
             yield Static(hint, classes="hint", markup=False)
+            yield Static(STOP_HINT, classes="error", markup=False)
             yield Static("", id="wrong", classes="error", markup=False)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:

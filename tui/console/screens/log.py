@@ -88,7 +88,7 @@ class LogScreen(RigScreenBase):
 
     def action_search(self) -> None:
         """Ask for words."""
-        field = FormField("text", "words", self._text, words=True)
+        field = FormField("text", "words", self._text)
         form = FormDialog("filter", [field], lambda texts: texts["text"])
         self.ask(form, lambda text: self._set(self._level, text))
 

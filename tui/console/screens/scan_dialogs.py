@@ -36,10 +36,10 @@ def words_dialog(scan: NextScan) -> FormDialog:
     """Answers with the scan and its typed name, specimen, operator, notes and tags."""
     fields = [
         FormField("name", "name", scan.name),
-        FormField("specimen", "specimen", scan.specimen, words=True),
-        FormField("operator", "operator", scan.operator, words=True),
-        FormField("notes", "notes", scan.notes, words=True),
-        FormField("tags", "tags", " ".join(scan.tags), words=True, help="separated by spaces or commas"),
+        FormField("specimen", "specimen", scan.specimen),
+        FormField("operator", "operator", scan.operator),
+        FormField("notes", "notes", scan.notes),
+        FormField("tags", "tags", " ".join(scan.tags), help="separated by spaces or commas"),
     ]
     return FormDialog("what is scanned", fields, lambda texts: parse_words(texts, scan))
 

@@ -197,10 +197,10 @@ class ScansScreen(RigScreenBase):
         assert entry is not None
         now = entry.notes
         fields = [
-            FormField("specimen", "specimen", now.specimen, words=True),
-            FormField("operator", "operator", now.operator, words=True),
-            FormField("notes", "notes", now.notes, words=True),
-            FormField("tags", "tags", ", ".join(now.tags), words=True, help="separated by commas"),
+            FormField("specimen", "specimen", now.specimen),
+            FormField("operator", "operator", now.operator),
+            FormField("notes", "notes", now.notes),
+            FormField("tags", "tags", ", ".join(now.tags), help="separated by commas"),
         ]
         form = FormDialog(
             f"notes on {entry.folder.name}", fields, lambda texts: _parse_notes(now, texts), done="saves them"

@@ -6,6 +6,7 @@ thread of their own. So STOP is sent from there, before anything is painted, and
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import IO, Any, Protocol, cast
@@ -15,13 +16,17 @@ from textual.app import App
 from textual.drivers.linux_driver import LinuxDriver
 from textual.message import Message
 
-from tui.console.keys import STOP_KEY
+from tui.console.keys import TYPING_STOP_KEY
 from tui.console.pictures.picture_rate import PictureRate
 
 ASK = "\x1b[6n"
 """Cursor position report: its answer means that the terminal has processed everything before it."""
 LAST_ANSWER_S = 0.5
 """At the end, an open answer is awaited for so long: otherwise the shell would get it as typed text."""
+TYPING_S = 1.0
+"""A space so soon after a letter may belong to a text whose dialog is not open yet."""
+STUCK_S = 0.5
+"""The event loop has so long to see such a space; then the terminal is stuck, and it counts as STOP."""
 
 
 class OutputMeter:
@@ -132,6 +137,10 @@ def _size(text: str) -> int:
 class _Stoppable(Protocol):
     meter: OutputMeter
 
+    typed_ahead: set[events.Key]
+
+    def means_stop(self, key: str) -> bool: ...
+
     def stop_early(self) -> None: ...
 
 
@@ -143,6 +152,8 @@ class ConsoleDriver(LinuxDriver):
         self._console = cast(_Stoppable, app)
         self._meter = self._console.meter
         self._file: Any = _MeasuredFile(self._file, self._meter)
+        self._letter_s = -math.inf
+        """When the last letter was typed, by the monotonic clock."""
 
     def write(self, data: str) -> None:
         """Hand output to the writing thread."""
@@ -157,12 +168,30 @@ class ConsoleDriver(LinuxDriver):
 
     def process_message(self, message: Message) -> None:
         """Runs in the thread that reads the keys."""
-        if isinstance(message, events.Key) and message.key == STOP_KEY:
-            self._console.stop_early()
+        if isinstance(message, events.Key):
+            if self._console.means_stop(message.key):
+                self._stop(message)
+            elif message.character is not None and message.character.isalnum():
+                self._letter_s = time.monotonic()
         elif isinstance(message, events.CursorPosition):
             self._meter.answered()
             return
         super().process_message(message)
+
+    def _stop(self, key: events.Key) -> None:
+        """Send STOP at once, but leave to the loop what may be a space in a text that is typed ahead of its dialog."""
+        if key.key == TYPING_STOP_KEY or time.monotonic() - self._letter_s > TYPING_S:
+            self._console.stop_early()
+            return
+        self._console.typed_ahead.add(key)
+        timer = threading.Timer(STUCK_S, self._stop_if_unseen, (key,))
+        timer.daemon = True
+        timer.start()
+
+    def _stop_if_unseen(self, key: events.Key) -> None:
+        if key in self._console.typed_ahead:
+            self._console.typed_ahead.discard(key)
+            self._console.stop_early()
 
     def stop_application_mode(self) -> None:
         """Restore the terminal, after its last answer."""

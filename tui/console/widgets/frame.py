@@ -9,6 +9,7 @@ from rich.text import Text
 
 from acquire.contract.messaging.messages import FaultReport
 from acquire.contract.states import UNKNOWN_SIGN, State, sign_of
+from tui.console.keys import STOP_KEY
 from tui.console.link.rig_view import RigView
 from tui.console.screen_table import SCREENS
 from tui.console.state.session_log import LogLine
@@ -152,17 +153,23 @@ class KeyLine(Lines[Sequence[Offer]]):
     """The keys that do something now; help and STOP are there at any width."""
 
     DEFAULT_CSS = "KeyLine { dock: bottom; height: 2; background: $panel; padding: 0 1; }"
-    PINNED = "? help   SPACE = STOP"
+
+    @property
+    def _stop_words(self) -> str:
+        means_stop = getattr(self.app, "means_stop", None)
+        return "SPACE = STOP" if means_stop is None or means_stop(STOP_KEY) else "CTRL+X = STOP"
 
     def text_for(self, width: int) -> Text:
         """Two lines; the second ends with what is pinned, and before it how many keys found no room."""
+        stop = self._stop_words
+        pinned = len("? help   ") + len(stop)
         first, rest = _fitting(self.shown, width)
-        second, rest = _fitting(rest, width - len(self.PINNED) - 12)
+        second, rest = _fitting(rest, width - pinned - 12)
         more = f"+{len(rest)}  " if rest else ""
         text = _offers_line(first).append("\n").append_text(_offers_line(second))
         used = sum(offer.cells + 2 for offer in second)
-        text.append(" " * max(1, width - used - len(more) - len(self.PINNED)) + more, style="dim")
-        return text.append("? help", style="bold").append("   ").append("SPACE = STOP", style="bold red")
+        text.append(" " * max(1, width - used - len(more) - pinned) + more, style="dim")
+        return text.append("? help", style="bold").append("   ").append(stop, style="bold red")
 
 
 def _fitting(offers: Sequence[Offer], width: int) -> tuple[Sequence[Offer], Sequence[Offer]]:

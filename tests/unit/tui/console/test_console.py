@@ -131,19 +131,19 @@ def test_pause_and_resume_are_sent_in_their_states():
     play(script)
 
 
-def test_space_stops_from_the_main_screen_from_an_input_and_from_every_dialog():
+def test_stop_works_from_the_main_screen_and_from_every_dialog():
     async def script(console):
         await console.connect(SWEEPING)
         await console.press("space")
         await console.press("question_mark")
         assert isinstance(console.app.screen, ActionList)
-        await console.press("space", "escape", "q")
+        await console.press("ctrl+x", "escape", "q")
         assert isinstance(console.app.screen, Confirm)
         await console.press("space", "n")
         await console.hear(StatusArrived(IDLE))
         await console.press("s")
         assert isinstance(console.app.screen, FormDialog)
-        await console.press("space")
+        await console.press("ctrl+x")
         assert [name for name, _ in console.sent] == ["stop"] * 4
 
     play(script, owns_rig=True)

@@ -14,7 +14,7 @@ from tests.unit.tui.console.test_console import FAULT, replace
 from tui.console.link.messages import CommandAnswered, LinkChanged, PictureArrived, ProgressArrived, StatusArrived
 from tui.console.link.rig_view import PictureView
 from tui.console.screen_table import SCREENS
-from tui.console.screens.dialogs import FormDialog
+from tui.console.screens.dialogs import FormDialog, LineInput
 from tui.console.screens.scan_dialogs import AdjustDialog
 from tui.console.widgets.frame import Header, KeyLine
 from tui.console.widgets.scan_panes import LightPane, PlanPane, StagePane
@@ -202,13 +202,34 @@ def test_settings_that_change_quickly_are_sent_one_at_a_time_and_the_newest_last
     play(script)
 
 
-def test_an_underscore_in_a_field_for_words_is_a_space():
+def stops(console) -> int:
+    return sum(name == "stop" for name, _ in console.link.sent)
+
+
+@pytest.mark.parametrize("key", ["i", "question_mark", "colon"])
+def test_in_a_dialog_with_fields_for_text_space_is_a_space_and_ctrl_x_is_stop(key):
     async def script(console):
-        await console.connect()
-        await console.press("i")
-        assert isinstance(console.app.screen, FormDialog)
-        await console.press("tab", *"left", "underscore", *"ear", "enter")
-        assert console.app.state.next_scan.specimen == "left ear"
+        await console.connect(SWEEPING)
+        assert "SPACE = STOP" in console.painted
+        await console.press(key, *"a_", "space", *"b")
+        field = console.app.screen.query(LineInput).first()
+        assert field.value == "a_ b" and stops(console) == 0
+        assert "CTRL+X = STOP" in console.painted and "SPACE = STOP" not in console.painted
+        await console.press("ctrl+x")
+        assert stops(console) == 1 and field.value == "a_ b"
+        await console.press("escape")
+        assert "SPACE = STOP" in console.painted
+        await console.press("space")
+        assert stops(console) == 2
+
+    play(script)
+
+
+def test_the_specimen_is_typed_with_its_spaces_in_mid_sweep():
+    async def script(console):
+        await console.connect(SWEEPING)
+        await console.press("i", "tab", *"left", "space", *"ear", "enter")
+        assert console.app.state.next_scan.specimen == "left ear" and stops(console) == 0
 
     play(script)
 
