@@ -98,13 +98,25 @@ def contrast_mask(
     return mask
 
 
+def level_step(seen: NDArray[np.bool_]) -> float:
+    """Least difference of two levels that occur, at most a count of 8 bit; seen [2^bit_depth]: whether a level occurs.
+
+    A camera of 12 bit may fill only each 16th level of a file of 16: its rounding is that of 12 bit.
+    """
+    levels = np.flatnonzero(seen)
+    least = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
+    return min(least, len(seen) / 256)
+
+
 class _Interpolation(NamedTuple):
     """Options of estimate_crossings."""
 
     noise: float
     """Standard deviation in levels."""
+    step: float
+    """Levels from one that occurs to the next."""
     blur: float
-    """Half the interval that a level stands for."""
+    """Half the interval that a level stands for where its error counts."""
     probit: bool
     quantiles: NDArray[np.float64]
     """Table for 8-bit levels with probit, else empty: an inverse normal per pixel takes longer than all the rest."""
@@ -230,8 +242,12 @@ def make_maps(
     shape, samples, mask = folded.minimum.shape, folded.samples, folded.mask
     quantiles = _quantiles_8_bit() if probit and folded.bit_depth == 8 else _NO_QUANTILES
     count = 2.0 ** (folded.bit_depth - 8)
-    noise = noise_counts * count
-    interpolation = _Interpolation(noise, blur_of(noise, 1.0, count), probit, quantiles)
+    noise, step = noise_counts * count, 1.0
+    if folded.bit_depth > 8:
+        seen = np.zeros(full_scale(folded.bit_depth) + 1, np.bool_)
+        seen[folded.minimum] = seen[folded.maximum] = True
+        step = level_step(seen)
+    interpolation = _Interpolation(noise, step, blur_of(noise, step, count), probit, quantiles)
     out = _Estimates.empty(mask.size)
     _levels_and_quality(folded, mask, out.quality)
     selected = np.flatnonzero(mask != 0)

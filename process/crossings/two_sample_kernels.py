@@ -118,22 +118,30 @@ def normal_quantile(p):
 
 
 @kernel
-def probit_fraction(base, level, low, high, blur):
+def probit_fraction(base, level, low, high, step, blur):
     """Where half brightness lies between two samples of an erf edge, 0..1, and sigma x (range + 2 blur) / noise.
 
-    base, level: the two samples; low, high: levels of the plateaus; blur: see ``blur_of``.
+    base, level: the two samples; low, high: levels of the plateaus; step: from one level that occurs to the next;
+    blur: see ``blur_of``.
     """
-    span = high - low + 2.0 * blur
-    return fraction_between(_quantile_of(base - low, span, blur), _quantile_of(level - low, span, blur), span)
+    half = 0.5 * step
+    span = high - low + step
+    fraction, scatter = fraction_between(
+        _quantile_of(base - low, span, half), _quantile_of(level - low, span, half), span
+    )
+    if blur > half:
+        span = high - low + 2.0 * blur
+        _, scatter = fraction_between(_quantile_of(base - low, span, blur), _quantile_of(level - low, span, blur), span)
+    return fraction, scatter
 
 
 @inlined_kernel
 def blur_of(noise, step, count):
-    """Half the interval that a level stands for: of one step of the levels, at most half a count of 8 bit.
+    """Half the interval that a level stands for where its error counts: of the noise, at most half a count of 8 bit.
 
-    Where the levels are finer than the noise (standard deviation, in levels), a sample tells no more than that: half a
-    level above the dark plateau the quantile would be a number of no meaning, and sigma would be huge. step: between
-    two levels; count: levels of one count of 8 bit.
+    noise: standard deviation in levels; step: between two levels; count: levels of one count of 8 bit. Where the levels
+    are finer than the noise, half a level above the dark plateau the error of the quantile would be a number of no
+    meaning, and sigma would be huge.
     """
     return 0.5 * min(max(noise, step), count)
 
@@ -172,7 +180,7 @@ def look_up(numbers, places, out):
 
 
 @kernel
-def estimate_crossings(selected, samples, present, noise, blur, probit, quantiles, crossing, sigma, quality):
+def estimate_crossings(selected, samples, present, noise, step, blur, probit, quantiles, crossing, sigma, quality):
     """Algorithm 3: crossing (frame index), sigma (frames) and quality of the selected pixels, from two samples.
 
     Args:
@@ -180,6 +188,7 @@ def estimate_crossings(selected, samples, present, noise, blur, probit, quantile
         samples: Samples.
         present: frame index of each folded frame.
         noise: standard deviation in levels.
+        step: from one level that occurs to the next.
         blur: of ``blur_of``, in levels.
         probit: interpolate in the inverse normal of the share of the range, not in the levels.
         quantiles: [s, a] of ``fill_quantiles``, for a blur of 0.5 and ranges up to its size; may be empty.
@@ -201,24 +210,24 @@ def estimate_crossings(selected, samples, present, noise, blur, probit, quantile
             continue
         after, before = present[ordinal], present[ordinal - 1]
         base = np.float64(samples.before[pixel])
-        step = np.float64(samples.level[pixel]) - base
+        rise = np.float64(samples.level[pixel]) - base
         half = np.float64(total) / 2.0
         span = np.float64(after - before)
-        # this product and quotient in this order: (half - base) / step first would round differently
-        time = before + span * (half - base) / step
-        fraction = (half - base) / step
-        scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / step * span
+        # this product and quotient in this order: (half - base) / rise first would round differently
+        time = before + span * (half - base) / rise
+        fraction = (half - base) / rise
+        scatter = noise * np.sqrt(fraction * fraction + (1.0 - fraction) * (1.0 - fraction)) / rise * span
         if probit:
             levels = high - low + 1
             if levels < quantiles.shape[0]:
                 z0, z1 = quantiles[levels, samples.before[pixel] - low], quantiles[levels, samples.level[pixel] - low]
                 fraction, scatter = fraction_between(z0, z1, np.float64(levels))
             else:
-                fraction, scatter = probit_fraction(base, base + step, np.float64(low), np.float64(high), blur)
+                fraction, scatter = probit_fraction(base, base + rise, np.float64(low), np.float64(high), step, blur)
             time, scatter = before + span * fraction, scatter * span * noise / (high - low + 2.0 * blur)
         crossing[pixel], sigma[pixel] = time, scatter
         # quality: several crossings where the pixel was down to a quarter of the range after it and rose again
-        width = np.float64(high - low) / (GAUSS * step / span)
+        width = np.float64(high - low) / (GAUSS * rise / span)
         behind = np.float64(last - present[samples.last_ordinal[pixel]])
         still_bright = 2 * np.int64(samples.tail_dip[pixel]) >= total
         bits = _edge_quality(width, time, behind, still_bright, first, last)

@@ -81,7 +81,7 @@ def local_probit(samples, times, place, seen, noise, found):
     span = times[place] - times[place - 1]
     spread = max(noise[0] + noise[1] * 0.5 * (low + high), 1.0 / 12.0)
     blur = blur_of(math.sqrt(spread), noise[4], noise[5])
-    fraction, scatter = probit_fraction(samples[place - 1], samples[place], low, high, blur)
+    fraction, scatter = probit_fraction(samples[place - 1], samples[place], low, high, noise[4], blur)
     found[LOW], found[HEIGHT] = low, high - low
     found[CROSSING] = times[place - 1] + span * fraction
     found[SIGMA] = max(scatter * span, 0.5) * math.sqrt(spread) / (high - low + 2.0 * blur)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from process.crossings.maps import Edge, full_scale
+from process.crossings.maps import Edge, full_scale, level_step
 from process.edge_fit.noise_model import PAIRS, NoiseModel, guard_frames, model_from, noise_figures
 from process.edge_fit.pixel_columns import ReadColumns
 from process.edge_fit.pixel_kernels import FAR, count_sharp
@@ -118,15 +118,12 @@ def noise_of(
             ]
         ),
         full_scale(sequence.bit_depth),
-        replace(fallback, step=level_step(sequence, pixels)),
+        replace(fallback, step=step_of(sequence, pixels)),
     )
 
 
-def level_step(sequence: FrameSequence, pixels: NDArray[np.int64]) -> float:
-    """Least difference of two levels that occur in some pixels, at most one count of 8 bit; 1 in 8 bit.
-
-    A camera of 12 bit may fill only each 16th level of a file of 16: its rounding is that of 12 bit.
-    """
+def step_of(sequence: FrameSequence, pixels: NDArray[np.int64]) -> float:
+    """``level_step`` of some pixels; 1 in 8 bit."""
     if sequence.bit_depth == 8:
         return 1.0
     seen = np.zeros(full_scale(sequence.bit_depth) + 1, np.bool_)
@@ -134,9 +131,7 @@ def level_step(sequence: FrameSequence, pixels: NDArray[np.int64]) -> float:
     for place in range(0, len(sequence.present), STEP):
         first = np.full(len(some), place)
         seen[sequence.columns(some, first, np.minimum(first + STEP, len(sequence.present)))] = True
-    levels = np.flatnonzero(seen)
-    least = float(np.diff(levels).min()) if len(levels) > 1 else 1.0
-    return min(least, 2.0 ** (sequence.bit_depth - 8))
+    return level_step(seen)
 
 
 def _figures(

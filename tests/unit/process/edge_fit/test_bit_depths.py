@@ -17,7 +17,7 @@ from process.crossings.quality import Quality
 from process.edge_fit.filters import filtered
 from process.edge_fit.pixel_columns import columns_of_stack
 from process.edge_fit.refine import Method, refine
-from process.edge_fit.weighting import FrameSequence, level_step
+from process.edge_fit.weighting import FrameSequence, step_of
 from process.fold.fold import Fold
 from process.results.reconstruct import reconstruct
 from process.results.settings import ReconstructOptions
@@ -89,7 +89,7 @@ def test_the_step_of_the_levels_is_found_and_at_most_a_count(factor, bits, step)
     stack = factor * np.random.default_rng(2).integers(0, 200, (40, 8, 8))
     stack = stack.astype(np.uint8 if bits == 8 else np.uint16)
     sequence = FrameSequence(columns_of_stack(stack), np.arange(40), "rising", bits)
-    assert level_step(sequence, np.arange(64)) == step
+    assert step_of(sequence, np.arange(64)) == step
 
 
 @pytest.mark.slow
