@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from msgspec.structs import replace
+
 from acquire.contract.messaging.messages import FaultReport
 
 
@@ -112,9 +114,25 @@ def report(code: str, at_mono_ns: int = 0, **facts: object) -> FaultReport:
     )
 
 
+def headline(fault: FaultReport) -> str:
+    """``F03 the writer is lost (20261130T101500Z-stapes)``: what happened, and in which scan."""
+    return f"{fault.code} {fault.happened}" + (f" ({fault.scan})" if fault.scan else "")
+
+
 def in_one_line(fault: FaultReport) -> str:
     """``F03 the writer is lost: 412 of 527 frames are saved; it is being restarted``."""
     return f"{fault.code} {fault.happened}: {fault.safe}; {fault.to_do}"
+
+
+def unfinished(scan: str, committed: int, expected: int) -> FaultReport:
+    """The report of a daemon that finds at its start that the last sweep was interrupted."""
+    found = report("F01", committed=committed, expected=expected)
+    return replace(
+        found,
+        happened="the last sweep was interrupted",
+        to_do="resume it: screen 4, r in the console, or 'sweepscope resume SCAN'",
+        scan=scan,
+    )
 
 
 class _Facts(dict[str, str]):

@@ -9,7 +9,7 @@ import json
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,11 @@ from acquire.cameras.protocol import CameraSettings
 from acquire.contract.calibration import parse_calibration
 from acquire.contract.config.load import LoadedConfig
 from acquire.contract.config.model import StageConfig
-from acquire.contract.errors import CommandRefusedError
+from acquire.contract.errors import CommandRefusedError, SweepscopeError
 from acquire.contract.messaging.messages import FrameFormat, Start
 from acquire.contract.plan import SweepPlan
-from acquire.contract.process.run_dir import FileLock
-from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME
+from acquire.contract.process.run_dir import FileLock, is_locked
+from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME, PARTIAL_NAME, SEALED_NAME
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.reader import ScanReader, read_marks
 from acquire.contract.states import Outcome
@@ -34,6 +34,30 @@ from .scan_setup import PreparedScan, check_travel, sweep_settings, window_slots
 
 SPECIMEN_LIMIT_UM = 2.5
 """Displacement of the specimen from which on the scan cannot go on; in pixels where the calibration has a scale."""
+
+
+@dataclass(frozen=True)
+class UnfinishedScan:
+    """A sweep that was interrupted and can be resumed."""
+
+    scan_uid: str
+    folder: Path
+    plan: SweepPlan
+    committed: int
+
+
+def unfinished_scan(data_dir: Path) -> UnfinishedScan | None:
+    """The newest scan in ``data_dir``, if its sweep was interrupted after a frame and no process works on it."""
+    try:
+        files = [path for pattern in (PARTIAL_NAME, SEALED_NAME) for path in data_dir.glob(f"*/{pattern}")]
+        newest = max(files, key=lambda path: path.stat().st_mtime_ns, default=None)
+        if newest is None or newest.name != PARTIAL_NAME or is_locked(newest.parent / OWNER_LOCK_NAME):
+            return None
+        with ScanReader(newest) as reader:
+            committed, layout = int(reader.present().sum()), reader.layout
+    except (SweepscopeError, OSError):
+        return None  # 'sweepscope scans' says what is wrong with it
+    return UnfinishedScan(layout.scan_uid, newest.parent, layout.plan, committed) if layout.plan and committed else None
 
 
 def prepare_resume(scan: Path, config: LoadedConfig, frame_format: FrameFormat) -> tuple[PreparedScan, CameraSettings]:

@@ -8,7 +8,7 @@ from acquire.activities.preview_publisher import PreviewPublisher
 from acquire.activities.runner import ActivityRunner
 from acquire.cameras.protocol import CameraGone
 from acquire.contract.config.model import LimitsConfig
-from acquire.contract.faults import report
+from acquire.contract.faults import report, unfinished
 from acquire.contract.messaging.lanes import Sender
 from acquire.contract.plan import SweepPlan
 from acquire.contract.process.logs import follow_scan
@@ -20,6 +20,7 @@ from acquire.sweep.events import StopRequested, Tick
 
 from .frame_sender import FrameSender
 from .rates import Rate
+from .resume import UnfinishedScan
 from .scan_runner import RunningScan
 from .scan_setup import PreparedScan
 
@@ -72,7 +73,7 @@ class ScanSupervisor:
 
     def begin(self, prepared: PreparedScan, now_ns: int) -> None:
         """Begin a scan that was checked."""
-        self._board.clear_seen()
+        self._board.begin_scan(prepared.folder.name)
         self._rate, self._began_ns, self._disk_slow = Rate(), now_ns, False
         self._runner.end_for_scan(now_ns)
         self.running = RunningScan(
@@ -115,6 +116,21 @@ class ScanSupervisor:
             self._board.enter(state)
         reason = f" ({sweep.reason})" if sweep.reason else ""
         self._board.say(outcome_words(sweep.outcome, last.committed, last.expected) + reason)
+        self._board.end_scan()
+
+    def note_unfinished(self, scan: UnfinishedScan) -> None:
+        """At the start: show the interrupted sweep as the last scan, and as a fault until it is seen or resumed."""
+        committed, expected = scan.committed, scan.plan.count
+        self._last = ScanStatus(
+            scan_uid=scan.scan_uid,
+            scan_path=str(scan.folder),
+            plan=scan.plan,
+            outcome=Outcome.INTERRUPTED,
+            expected=expected,
+            committed=committed,
+            missing=expected - committed,
+        )
+        self._board.fault(unfinished(scan.folder.name, committed, expected))
 
     def interrupt(self, now_ns: int) -> None:
         """The daemon ends: so does the scan, with an end message."""

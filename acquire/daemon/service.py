@@ -43,6 +43,7 @@ from .clock_watch import ClockWatch
 from .event_queue import EventQueue
 from .frame_sender import FrameSender
 from .lamp_timer import LampTimer
+from .resume import unfinished_scan
 from .scan_supervisor import ScanSupervisor
 
 logger = logging.getLogger(__name__)
@@ -99,6 +100,9 @@ class Daemon:
         self._server = CommandServer(socket, self.clock, self.config.rig.limits.command_s, self.commands.serve)
         self.board.enter(State.IDLE)
         self.board.say(f"ready: {self.rig.stage_info.kind} stage, {self.rig.camera_info.kind} camera")
+        interrupted = unfinished_scan(self.config.data_dir)
+        if interrupted is not None:
+            self.scans.note_unfinished(interrupted)
 
     def request_end(self) -> None:
         """End after this turn of the loop; a signal handler may call it."""

@@ -25,6 +25,8 @@ class StatusBoard:
         self.state = State.DISCONNECTED
         self.message = ""
         self.faults: list[FaultReport] = []
+        self.scan = ""
+        """Folder name of the scan that runs; faults are reported as of this scan."""
         self.changed = True
         """Something that the status message shows has changed since it was published."""
 
@@ -60,7 +62,8 @@ class StatusBoard:
             # logged once: a disk that fails reports it for each frame that waits
             logger.error(in_one_line(fault))
         kept = [other for other in self.faults if other not in same]
-        self.faults = [*kept, msgspec.structs.replace(fault, at_mono_ns=self._clock.now_ns())][-MAX_FAULTS:]
+        known = msgspec.structs.replace(fault, at_mono_ns=self._clock.now_ns(), scan=fault.scan or self.scan)
+        self.faults = [*kept, known][-MAX_FAULTS:]
         self.message = in_one_line(fault)
         self.changed = True
 
@@ -76,7 +79,12 @@ class StatusBoard:
         self.changed = True
         return len(seen)
 
-    def clear_seen(self) -> None:
-        """A scan begins: acknowledged faults and the last message go."""
-        self.faults = [fault for fault in self.faults if not fault.acknowledged]
+    def begin_scan(self, scan: str) -> None:
+        """A scan begins: what was acknowledged goes, and what was reported of this scan before it is resumed."""
+        self.scan = scan
+        self.faults = [fault for fault in self.faults if not fault.acknowledged and fault.scan != scan]
         self.message = ""
+
+    def end_scan(self) -> None:
+        """It is over: faults that follow are not of this scan."""
+        self.scan = ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from acquire.contract.faults import headline
 from acquire.contract.messaging.messages import FaultReport, ResultProgress, Status
 from acquire.contract.states import RUNNING_STATES, Outcome, State, outcome_words, sign_of
 from acquire.contract.units import format_duration
@@ -98,9 +99,7 @@ def status_lines(status: Status) -> list[str]:
         )
         lines += [f"scan      {status.scan_path}", f"frames    {counts}  of {status.expected}"]
         lines += [outcome_line(status) or f"progress  {rate_words(status)}  {credit_words(status)}"]
-    lines += [
-        f"FAULT {fault.code}: {fault.happened}. Safe: {fault.safe}. To do: {fault.to_do}" for fault in status.faults
-    ]
+    lines += [f"FAULT {headline(fault)}. Safe: {fault.safe}. To do: {fault.to_do}" for fault in status.faults]
     if status.message:
         lines.append(status.message)
     return lines

@@ -238,6 +238,8 @@ class FaultReport(msgspec.Struct, frozen=True, kw_only=True):
     to_do: Text
     at_mono_ns: Count = 0
     acknowledged: bool = False
+    scan: Name = ""
+    """Folder name of the scan that it happened in; empty where there was none."""
 
 
 class Proposal(msgspec.Struct, frozen=True, kw_only=True):

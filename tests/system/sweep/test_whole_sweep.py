@@ -209,10 +209,15 @@ def test_an_interrupted_sweep_is_resumed_and_equals_an_undisturbed_one(appliance
     assert_partial(scan["path"])
     appliance.start("daemon")
     with appliance.client() as client:
-        appliance.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        ready = appliance.until_status(client, lambda s: s.state == "idle" and s.writer_alive, "the rig is ready")
+        assert (ready.scan_uid, ready.outcome, ready.expected) == (scan["scan_uid"], "interrupted", COUNT)
+        (fault,) = ready.faults
+        assert (fault.code, fault.scan, fault.acknowledged) == ("F01", Path(scan["path"]).name, False)
+        assert fault.safe == f"{ready.committed} of {COUNT} frames are saved" and ready.committed > 40
         again = client.request("resume_scan", path=scan["path"]).result
         assert again["scan_uid"] == scan["scan_uid"]
         status = appliance.finished(client, scan["scan_uid"])
+        assert not status.faults
     assert status.outcome == "complete" and status.triggered < COUNT - 30
     assert_frames(scan["path"], expected_frames)
     assert (Path(scan["path"]) / "overlap.png").exists()

@@ -9,6 +9,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 
+from acquire.contract.faults import headline
 from tui.console.link.rig_view import RigView
 from tui.console.screens.base import RigScreenBase
 from tui.console.shell import Shell
@@ -32,7 +33,7 @@ class FaultDetail(Pane[LoggedFault | None]):
         report = fault.report
         text = Text(no_wrap=True)
         for label, words, style in (
-            ("happened", f"{report.code}  {report.happened}", "bold"),
+            ("happened", headline(report), "bold"),
             ("safe", report.safe, ""),
             ("to do", report.to_do, "bold"),
             ("when", fault.at + ("" if fault.current else "; the daemon no longer reports it"), "dim"),

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+from acquire.contract.faults import headline
 from acquire.contract.messaging.messages import FaultReport
 from acquire.contract.process.clocks import mono_ns
 from acquire.contract.units import NS_PER_S
@@ -33,8 +34,7 @@ class LoggedFault:
         """All of it, for a message to another person."""
         seen = "acknowledged" if self.report.acknowledged else "not acknowledged"
         return (
-            f"{self.at}  {self.report.code}  {self.report.happened}\n  safe:  {self.report.safe}\n"
-            f"  to do: {self.report.to_do}\n  {seen}"
+            f"{self.at}  {headline(self.report)}\n  safe:  {self.report.safe}\n  to do: {self.report.to_do}\n  {seen}"
         )
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 
+from acquire.contract.faults import headline
 from acquire.contract.messaging.messages import ResultProgress, Status
 from acquire.contract.states import Outcome
 from tui.text.status_text import is_running, outcome_line, state_words
@@ -68,7 +69,7 @@ class SessionLog:
         for fault in now.faults:
             if (fault.code, fault.at_mono_ns) not in self._faults:
                 self._faults.add((fault.code, fault.at_mono_ns))
-                yield f"{fault.code} {fault.happened}. Safe: {fault.safe}. To do: {fault.to_do}", "error"
+                yield f"{headline(fault)}. Safe: {fault.safe}. To do: {fault.to_do}", "error"
 
 
 def _state_lines(before: Status | None, now: Status) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from rich.text import Text
 
+from acquire.contract.faults import headline
 from acquire.contract.messaging.messages import FaultReport
 from acquire.contract.states import UNKNOWN_SIGN, State, sign_of
 from tui.console.keys import STOP_KEY
@@ -132,7 +133,7 @@ class FaultBanner(Lines[Sequence[FaultReport]]):
         waiting = sum(not fault.acknowledged for fault in self.shown)
         more = f" (and {waiting - 1} more)" if waiting > 1 else ""
         text = Text(no_wrap=True)
-        text.append(shorten(f"✖ FAULT {fault.code}: {fault.happened}{more}", width), style="bold")
+        text.append(shorten(f"✖ FAULT {headline(fault)}{more}", width), style="bold")
         text.append("\n" + shorten(f"  safe:  {fault.safe}", width))
         return text.append("\n" + shorten(f"  to do: {fault.to_do}", width - 27) + "  (a acknowledges, 5 all)")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -14,7 +16,7 @@ from acquire.contract.messaging.messages import Command, FrameFormat
 from acquire.contract.process.run_dir import FileLock
 from acquire.contract.scan_data.dataset_names import OWNER_LOCK_NAME
 from acquire.contract.states import Outcome
-from acquire.daemon.resume import prepare_resume
+from acquire.daemon.resume import prepare_resume, unfinished_scan
 from acquire.daemon.service import Daemon
 from acquire.rigs.base import Rig
 from acquire.stages.protocol import StageInfo, StageStatus
@@ -53,6 +55,24 @@ def test_a_scan_is_gone_on_with_where_the_rig_is_set_as_it_was(scan):
     assert prepared.settings.resume is not None and prepared.settings.resume.last_frame == 4
     assert camera.exposure_ms == prepared.start.plan.exposure_ms
     prepared.lock.release()
+
+
+def test_the_newest_scan_is_unfinished_where_it_was_interrupted_and_nobody_works_on_it(scan, tmp_path):
+    found = unfinished_scan(tmp_path)
+    assert found is not None and (found.folder, found.committed, found.plan.count) == (scan, 5, COUNT)
+    lock = FileLock(scan / OWNER_LOCK_NAME, "this scan")
+    assert unfinished_scan(tmp_path) is None
+    lock.release()
+    with closing(create_scan(tmp_path / "b", start_of(tmp_path / "b", COUNT, SMALL))) as newer:
+        newer.seal(Outcome.ABORTED)
+    os.utime(newer.path, ns=(2**62, 2**62))
+    assert unfinished_scan(tmp_path) is None
+
+
+@pytest.mark.parametrize("spoil", [lambda path: path.write_bytes(b"HDF"), lambda path: os.truncate(path, 5000)])
+def test_a_folder_that_cannot_be_read_keeps_no_daemon_from_starting(scan, tmp_path, spoil):
+    spoil(scan / "scan.partial.h5")
+    assert unfinished_scan(tmp_path) is None and unfinished_scan(tmp_path / "nowhere") is None
 
 
 @pytest.mark.parametrize(
