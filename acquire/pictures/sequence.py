@@ -1,8 +1,8 @@
 """Proves that pictures are the frames of one sweep, before anything is written: else they are refused with the place.
 
-One series by its names, numbers in equal steps without gaps and doubles, all readable, of one size and type, no
-neighbours that are the same pixel for pixel, and no camera's times against the numbers. Times of the file system prove
-nothing: copying changes them.
+One series by its names, numbers in equal steps without gaps and doubles, all readable, of one size and type, and no
+camera's times against the numbers. Times of the file system prove nothing: copying changes them. Pictures that are the
+same, pixel for pixel, are said.
 """
 
 from __future__ import annotations
@@ -97,10 +97,15 @@ def prove_sequence(
     missing = [*found.gaps, *([told(unreadable)] if unreadable else [])]
     notes = list(found.notes)
     inside, ends = doubles(looks)
-    if not asked.as_is:
+    if inside and asked.missing_as_missing:
         looks = [look for look in looks if look.place.index not in inside]
-        missing += [f"{_doubles_words(inside)}, the repeated ones are left out"] if inside else []
-        notes += [f"{words}: did the camera stand still?" for words in ends]
+        missing.append(f"{_doubles_words(inside)}: the repeated ones are left out")
+    elif inside:
+        notes.append(
+            f"SUSPICIOUS: {_doubles_words(inside)} (did the camera or the copy hang? --missing-as-missing leaves out "
+            "the repeated ones)"
+        )
+    notes += [f"{words}: did the camera stand still?" for words in ends]
     depth = _depth(looks, seen, asked.bit_depth)
     by_index = {look.place.index: look for look in looks}
     return PictureSequence(
@@ -118,9 +123,7 @@ def prove_sequence(
 def _refuse_unproven(found: Candidate, looks: list[Look], unreadable: list[tuple[str, str]], asked: Asked) -> None:
     """Raise with all that speaks against a sequence, so that one look at the folder mends it all."""
     facts, options = list(found.faults), []
-    gaps, inside = list(found.gaps), {} if asked.as_is else doubles(looks)[0]
-    if inside:
-        gaps.append(_doubles_words(inside))
+    gaps = list(found.gaps)
     against = "" if asked.as_is else times_against(looks)
     facts += [against] if against else []
     if not asked.missing_as_missing:

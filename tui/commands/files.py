@@ -44,9 +44,9 @@ def import_(
     """Make a scan file from a folder of pictures, or from a TIFF stack.
 
     The pictures (png, bmp, jpg, tif) must be one sequence: names that differ in one number, which counts without gaps
-    in equal steps; one size and type; camera times in the same order; no picture twice in a row. Else the folder is
-    refused, with everything that speaks against it. Names, sizes and checksums of the files are kept in the scan. A
-    projector.txt of the original program in the folder gives the travel per frame."""
+    in equal steps; one size and type; camera times in the same order. Else the folder is refused, with everything that
+    speaks against it. Pictures that are the same are said. Names, sizes and checksums of the files are kept in the
+    scan. A projector.txt of the original program in the folder gives the travel per frame."""
     from acquire.importing.folder import import_folder
     from acquire.pictures.sequence import Asked
 

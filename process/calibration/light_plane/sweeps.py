@@ -15,7 +15,7 @@ from acquire.contract.plan import SweepPlan
 from acquire.contract.scan_data.file_layout import ScanLayout
 from acquire.contract.scan_data.maps_file import read_maps
 from process.crossings.quality import Quality
-from process.results.reconstruct import reconstruct
+from process.results.reconstruct import NEARLY_ALL, reconstruct
 from process.results.scan_frames import ScanFrames
 from process.results.settings import Edge, ReconstructOptions
 
@@ -138,6 +138,12 @@ def _refuse_faults(name: str, quality: NDArray[np.generic], lit: int) -> None:
     if lit < MIN_PIXELS:
         raise CalibrationError(
             f"{name}: only {lit} pixels change their brightness enough: lamp off, or a sweep too short or elsewhere"
+        )
+    lit_first = float((quality.astype(np.int64) & int(Quality.LIT_AT_START) != 0).mean())
+    if lit_first > NEARLY_ALL:
+        raise CalibrationError(
+            f"{name}: {100 * lit_first:.0f} % of the pixels begin beyond half brightness: the light goes the other way "
+            "than the edge that was looked for; with --edge falling (or rising) it is the other one"
         )
     for bit, text in _FAULTS.items():
         share = float((quality.astype(np.int64) & int(bit) != 0).mean())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -13,6 +14,7 @@ from acquire.contract.calibration import CameraModel, load_calibration
 from acquire.contract.config.simulation import SimulationConfig
 from acquire.contract.errors import CalibrationError
 from acquire.contract.messaging.messages import FrameFormat
+from acquire.importing.folder import import_folder
 from acquire.simulation import build_scene, ideal_calibration
 from process.calibration.calibration_file import new_document, read_document, write_document
 from process.calibration.light_plane.from_sweeps import fit_plane
@@ -22,6 +24,7 @@ from process.calibration.light_plane.surfaces import Surface
 from process.calibration.light_plane.sweeps import FoldedSweep, fold_sweep
 from process.calibration.reference_planes.calibrate import ReferenceResult, fit_reference_planes, read_planes
 from process.cloud.triangulation import rays
+from tests.fakes.processes.sweep_source import edge_frames
 from tests.fakes.scans.simulated_scans import plan_of, simulate_sweep
 from tui.cli import cli
 
@@ -205,6 +208,15 @@ def test_a_sweep_that_never_reaches_the_board_is_named(tmp_path):
     )
     with pytest.raises(CalibrationError, match="dark: only .* pixels change their brightness enough"):
         fold_sweep(dark)
+
+
+def test_a_sweep_of_the_other_edge_is_told_so(tmp_path):
+    (tmp_path / "frames").mkdir()
+    for k, frame in enumerate(edge_frames(40, 64, 48)):
+        cv2.imwrite(str(tmp_path / "frames" / f"{k}.png"), 255 - frame)
+    import_folder(tmp_path / "frames", tmp_path / "scan.h5")
+    with pytest.raises(CalibrationError, match=r"the light goes the other way.*--edge falling"):
+        fold_sweep(tmp_path / "scan.h5", edge="rising", contrast=50)
 
 
 def apart(result: ReferenceResult, given: dict) -> tuple[np.ndarray, np.ndarray]:
