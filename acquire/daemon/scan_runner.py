@@ -147,7 +147,7 @@ class RunningScan:
             case do.CheckLimit():
                 stage.check_limit()
             case do.SavePicture(name, picture):
-                cv2.imwrite(str(self.prepared.folder / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+                self._save(name, picture)
             case do.SaveMarks(measured):
                 self._mark(measured)
             case do.SendEnd(end):
@@ -157,6 +157,15 @@ class RunningScan:
                 self._on_fault(fault)
             case do.Say(text):
                 self._on_message(text)
+
+    def _save(self, name: str, picture: NDArray[Any]) -> None:
+        """Write a picture (RGB) beside the scan; the sweep does not depend on it."""
+        # by its bytes: OpenCV dies of a path that is no UTF-8
+        encoded = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))[1]
+        try:
+            (self.prepared.folder / name).write_bytes(encoded.tobytes())
+        except OSError as error:
+            self._on_message(f"cannot write {name} beside the scan: {error.strerror}")
 
     def _mark(self, measured: dict[str, float]) -> None:
         folder = self.prepared.folder
