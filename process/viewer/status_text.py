@@ -98,7 +98,8 @@ def _about_worker(snapshot: Snapshot, now_ns: int) -> list[Remark]:
             since = f" for {_seconds(now_ns - worker.heard_ns)}" if worker.heard_ns else ""
             found.append(Remark("warning", f"No message from the worker{since}; the cloud is {behind} frames behind."))
     if progress is not None and progress.message and status is not None and status.scan_path:
-        found.append(Remark("note", f"Worker: {progress.message}"))
+        level: Level = "warning" if progress.failed else "note"
+        found.append(Remark(level, f"{'No cloud' if progress.failed else 'Worker'}: {progress.message}"))
     return found
 
 

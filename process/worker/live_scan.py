@@ -219,6 +219,7 @@ class LiveScan:
             refolded=counts.refolded,
             lag_frames=self.lag_frames,
             message=self._message(),
+            failed=bool(self.failure),
         )
 
     def _message(self) -> str:

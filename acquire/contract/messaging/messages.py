@@ -378,6 +378,8 @@ class ResultProgress(Message, frozen=True, kw_only=True, tag="result_progress"):
     """Frames that the daemon sent and the worker has not folded yet."""
     message: Text = ""
     """What is missing, for the operator (no calibration, waiting for the file); empty if nothing is."""
+    failed: bool = False
+    """There are no maps and no cloud, for the reason in ``message``; the worker may try again."""
 
 
 class TileHeader(msgspec.Struct, frozen=True, array_like=True):

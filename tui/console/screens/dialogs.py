@@ -97,6 +97,7 @@ class FormDialog(Dialog[Any]):
     DEFAULT_CSS = """
     FormDialog Grid { grid-size: 2; grid-columns: 18 1fr; grid-rows: auto; height: auto; }
     FormDialog Grid Static { height: auto; }
+    FormDialog #lines { height: auto; }
     """
 
     def __init__(
@@ -116,8 +117,8 @@ class FormDialog(Dialog[Any]):
         """Labels and fields, hints, a line for errors."""
         with Vertical() as box:
             box.border_title = self._title_words
-            for line in self._lines:
-                yield Static(line, classes="error" if line.startswith("!") else "", markup=False)
+            with Vertical(id="lines"):
+                yield from _statics(self._lines)
             with Grid():
                 for field in self._fields:
                     yield Static(field.label, markup=False)
@@ -130,6 +131,14 @@ class FormDialog(Dialog[Any]):
             yield Static(STOP_HINT, classes="error", markup=False)
             yield Static("", id="wrong", classes="error", markup=False)
 
+    def show_lines(self, lines: Sequence[str]) -> None:
+        """Replace the lines above the fields."""
+        if self.is_mounted and list(lines) != list(self._lines):
+            self._lines = lines
+            above = self.query_one("#lines")
+            above.remove_children()
+            above.mount(*_statics(lines))
+
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Answer if the values are valid, else say what is wrong."""
         texts = {field.name: self.query_one(f"#field-{field.name}", Input).value.strip() for field in self._fields}
@@ -139,6 +148,10 @@ class FormDialog(Dialog[Any]):
             self.query_one("#wrong", Static).update(str(error))
             return
         self.dismiss(answer)
+
+
+def _statics(lines: Sequence[str]) -> list[Static]:
+    return [Static(line, classes="error" if line.startswith("!") else "", markup=False) for line in lines]
 
 
 class Confirm(Dialog[bool]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from textual.app import ComposeResult
@@ -15,7 +16,14 @@ from tui.console.link.rig_view import RigView
 from tui.console.screens.base import action_name
 from tui.console.screens.camera_screen import CameraScreen
 from tui.console.screens.jogging import Jogging
-from tui.console.screens.scan_dialogs import AdjustDialog, LatestValue, plan_dialog, start_dialog, words_dialog
+from tui.console.screens.scan_dialogs import (
+    AdjustDialog,
+    LatestValue,
+    plan_dialog,
+    start_dialog,
+    start_lines,
+    words_dialog,
+)
 from tui.console.shell import Shell
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import FAST_FACTOR
@@ -171,13 +179,14 @@ class ScanScreen(CameraScreen):
             self._settling.stop()
         self._settling = self.set_timer(SETTLE_S, self._request_estimate)
 
-    def _request_estimate(self) -> None:
+    def _request_estimate(self, then: Callable[[], object] = lambda: None) -> None:
         scan = self.next_scan
 
         def take(answer: CommandAnswered) -> None:
             if scan == self.next_scan:
                 self._plan.estimate = Estimate.of_answer(ok=answer.ok, detail=answer.detail, result=answer.result)
                 self._plan.changed()
+                then()
 
         self.send("estimate", take, **scan.scan_args())
 
@@ -225,7 +234,10 @@ class ScanScreen(CameraScreen):
             self._change(replace(self.next_scan, name=name))
             self.send("scan", **self.next_scan.scan_args())
 
-        self.ask(start_dialog(self.next_scan, self._plan.estimate, self.view.status), start)
+        dialog = start_dialog(self.next_scan, self._plan.estimate, self.view.status)
+        self.ask(dialog, start)
+        # asked anew: meanwhile the disk may have filled
+        self._request_estimate(lambda: dialog.show_lines(start_lines(self.next_scan, self._plan.estimate)))
 
     def action_pause(self) -> None:
         """Hold the sweep."""

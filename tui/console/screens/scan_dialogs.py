@@ -44,14 +44,17 @@ def words_dialog(scan: NextScan) -> FormDialog:
     return FormDialog("what is scanned", fields, lambda texts: parse_words(texts, scan))
 
 
+def start_lines(scan: NextScan, estimate: Estimate) -> list[str]:
+    """What the sweep takes, its warnings, and why it would be refused."""
+    refused = [f"! it would be refused: {estimate.refused}"] if estimate.refused else []
+    return [estimate.words(scan), *(f"! {words}" for words in estimate.warnings), *refused]
+
+
 def start_dialog(scan: NextScan, estimate: Estimate, status: Status | None) -> FormDialog:
     """Shows what the sweep takes; answers with its name, by default the scan's own, else that of the last scan."""
     last_name = scan_name(status).partition("-")[2] if status is not None else ""
     name = scan.name if scan.name != NextScan.name or not last_name else last_name
-    lines = [estimate.words(scan), *(f"! {words}" for words in estimate.warnings)]
-    if estimate.refused:
-        lines.append(f"! it would be refused: {estimate.refused}")
-    fields = [FormField("name", "name", name)]
+    fields, lines = [FormField("name", "name", name)], start_lines(scan, estimate)
     return FormDialog("start a sweep", fields, lambda texts: parse_name(texts["name"]), done="starts it", lines=lines)
 
 

@@ -63,7 +63,8 @@ class SessionLog:
         kind = re.sub(r"\d+", "#", progress.message)
         if kind and kind not in self._worker[1]:
             self._worker[1].add(kind)
-            self.say(f"worker: {progress.message}", "warning" if progress.scan_uid else "info")
+            level = "error" if progress.failed else "warning" if progress.scan_uid else "info"
+            self.say(f"worker: {progress.message}", level)
 
     def _new_faults(self, now: Status) -> Iterator[tuple[str, str]]:
         for fault in now.faults:

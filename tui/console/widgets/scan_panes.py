@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 from rich.text import Text
 
 from acquire.contract.messaging.messages import Status
@@ -179,6 +181,11 @@ class ProgressPane(ScanPane):
         else:
             took = f"took {format_duration(status.elapsed_s)}" if status.elapsed_s else ""
             text.append(shorten(outcome_line(status), width) + "\n", style=outcome_style(status)).append(f"{took}\n")
+        worker = self.shown.progress
+        if worker is not None and worker.failed and worker.scan_uid == status.scan_uid:
+            wrapped = textwrap.wrap(f"NO CLOUD: {worker.message}", max(width, 10))
+            text.append("\n".join(wrapped[:3]), style="bold red")
+            return
         text.append(shorten(self._lags(status), width) + "\n").append(shorten(self._points(), width) + "\n")
         self._last(text, status, width)
 

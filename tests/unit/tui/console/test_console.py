@@ -79,6 +79,34 @@ def test_start_asks_for_a_name_with_the_last_one_as_default():
     play(script)
 
 
+def test_the_start_dialog_shows_the_free_space_of_now_and_why_it_would_be_refused():
+    async def script(console):
+        await console.connect()
+        await console.press("s")
+        number = [name for name, _ in console.link.sent].index("estimate") + 1
+        refused = (
+            "the scan needs 415.2 MB and 0 B are free in /data: make room, or set storage.data_dir to another disk"
+        )
+        await console.hear(CommandAnswered("estimate", False, refused, 1, f"request-{number}"))
+        shown = " ".join(console.painted.replace("│", " ").split())
+        assert isinstance(console.app.screen, FormDialog) and "0 B are free" in shown and "another disk" in shown
+
+    play(script, size=(80, 24))
+
+
+def test_a_sweep_without_a_cloud_says_so_beside_its_outcome():
+    async def script(console):
+        saved = replace(IDLE, scan_uid=PROGRESS.scan_uid, scan_path="/data/a", outcome=Outcome.COMPLETE, expected=8)
+        await console.connect(replace(saved, committed=8))
+        why = "no maps: cannot write /data/a: a full disk; the scan is safe, 'sweepscope reconstruct' makes them"
+        await console.hear(ProgressArrived(replace(PROGRESS, message=why, failed=True)))
+        shown = " ".join(console.shown(ProgressPane).split())
+        assert "SAVED: 8 of 8" in shown and "NO CLOUD: no maps: cannot write" in shown and "reconstruct" in shown
+        assert any(line.level == "error" and "full disk" in line.text for line in console.app.state.log.lines)
+
+    play(script, size=(160, 50))
+
+
 def test_a_typed_name_replaces_the_default():
     async def script(console):
         await console.connect()
