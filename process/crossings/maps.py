@@ -145,11 +145,14 @@ class _Estimates(NamedTuple):
         return cls(np.full(pixels, np.nan), np.full(pixels, np.nan, np.float32), np.zeros(pixels, np.uint16))
 
 
-def _levels_and_quality(folded: Folded, mask: NDArray[np.uint8], quality: NDArray[np.uint16]) -> None:
-    """Set the bits that need the extremes only; dark is meant of the original intensity, for both edges."""
+def _levels_and_quality(folded: Folded, mask: NDArray[np.uint8], quality: NDArray[np.uint16], step: float) -> None:
+    """Set the bits that need the extremes only; dark is meant of the original intensity, for both edges.
+
+    step: from one level that occurs to the next; left-aligned levels end at full scale less this, and one.
+    """
     full = full_scale(folded.bit_depth)
     inside = mask.ravel() != 0
-    quality[inside & (folded.maximum.ravel() == full)] |= np.uint16(Quality.SATURATED)
+    quality[inside & (folded.maximum.ravel() > full - int(step))] |= np.uint16(Quality.SATURATED)
     quality[inside & (folded.minimum.ravel() > full // 2)] |= np.uint16(Quality.NO_DARK_LEVEL)
 
 
@@ -249,7 +252,7 @@ def make_maps(
         step = level_step(seen)
     interpolation = _Interpolation(noise, step, blur_of(noise, step, count), probit, quantiles)
     out = _Estimates.empty(mask.size)
-    _levels_and_quality(folded, mask, out.quality)
+    _levels_and_quality(folded, mask, out.quality, step)
     selected = np.flatnonzero(mask != 0)
     estimate_crossings(selected, samples, folded.present, *interpolation, *out)
     # a pixel lit at the start has no crossing, whether the log knows it or not

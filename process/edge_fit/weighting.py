@@ -73,7 +73,9 @@ class EdgeWeighting(NamedTuple):
 
     def noise_coefficients(self, sequence: FrameSequence) -> NDArray[np.float64]:
         """[6] for the kernels: floor and slope of the variance, lower and upper clipping level, step, count."""
-        lowest, highest = (0.0, np.inf) if sequence.full else (-np.inf, float(full_scale(sequence.bit_depth)))
+        # the highest level that occurs at all: a camera of 12 bit, left-aligned in 16, ends at 65520
+        clipped = self.noise.step - 1.0
+        lowest, highest = (clipped, np.inf) if sequence.full else (-np.inf, full_scale(sequence.bit_depth) - clipped)
         count = 2.0 ** (sequence.bit_depth - 8)
         return np.array([self.noise.floor, self.noise.slope, lowest, highest, self.noise.step, count])
 

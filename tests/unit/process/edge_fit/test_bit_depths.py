@@ -82,6 +82,13 @@ def test_crossings_and_sigmas_do_not_depend_on_the_depth(name, flat, method, edg
     assert np.median(deep.sigma[both] / plain.sigma[both]) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("name", ["8 bit", "8 bit x 256 in 16", "12 bit x 16 in 16", "16 bit"])
+def test_saturated_pixels_are_found_wherever_the_scale_ends(name):
+    bright, plain = (maps_of(name, scene() + more, "auto").quality for more in (150, 0))
+    assert ((bright & int(Quality.SATURATED)) != 0).all()
+    assert ((plain & int(Quality.SATURATED)) == 0).all()
+
+
 @pytest.mark.parametrize(
     ("factor", "bits", "step"), [(257, 16, 256), (16, 16, 16), (16, 12, 16), (1, 12, 1), (1, 8, 1)]
 )
