@@ -51,12 +51,13 @@ for _command in (
 def run(arguments: Sequence[str]) -> int:
     """Run the command line ``arguments`` (without the program's name); returns the exit status."""
     status = _run(arguments)
-    try:
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains at its end
-        return status or _unexpected(error)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # or the interpreter complains at its end
+            status = status or _unexpected(error)
     return status
 
 
@@ -70,8 +71,9 @@ def _run(arguments: Sequence[str]) -> int:
         return EXIT_USAGE
     except click.ClickException as error:
         return _complain(error.format_message() + _where_to_look(error), error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
-        return EXIT_INTERRUPTED
+    except (click.Abort, KeyboardInterrupt, SystemExit) as error:
+        # SystemExit is click's answer to a broken pipe
+        return EXIT_NOT_READ if isinstance(error, SystemExit) else EXIT_INTERRUPTED
     except Exception as error:  # noqa: BLE001 - outermost: any error is printed on one line
         if "--debug" in arguments:
             traceback.print_exc()
@@ -94,14 +96,14 @@ def _unexpected(error: Exception) -> int:
     """An error that no command explains: first those of the machine, then our own."""
     if isinstance(error, BrokenPipeError):
         return EXIT_NOT_READ
-    if isinstance(error, OSError) and error.errno is not None:
+    if isinstance(error, OSError):
         where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
         return _complain(f"{where}{_machine_words(error)}: mend that, then try again", EXIT_FAILED)
     if isinstance(error, MemoryError):
         return _complain("this machine has not enough memory for that: end other programs", EXIT_FAILED)
     if isinstance(error, UnicodeEncodeError):
         return _complain(
-            f"{error.object[:80]!r} cannot be written in {error.encoding} (a file name that is not UTF-8, or a locale "
+            f"'{error.object[:80]}' cannot be written in {error.encoding} (a file name that is not UTF-8, or a locale "
             "that lacks a letter): rename it, or set PYTHONUTF8=1",
             EXIT_FAILED,
         )

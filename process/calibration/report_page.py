@@ -68,7 +68,7 @@ def write_page(path: Path, page: str) -> None:
         CalibrationError: it cannot be written.
     """
     try:
-        path.write_text(page, encoding="utf-8")
+        path.write_text(page, encoding="utf-8", errors="backslashreplace")  # names of pictures may be any bytes
     except OSError as error:
         raise CalibrationError(f"cannot write the report {path}: {error.strerror}; the calibration is safe") from None
 

@@ -32,7 +32,7 @@ class _Text(click.ParamType):
         try:
             value.encode()
         except UnicodeEncodeError:
-            self.fail(f"{value!r} holds a byte that is not UTF-8: type it anew", param, ctx)
+            self.fail(f"'{value}' holds a byte that is not UTF-8: type it anew", param, ctx)
         return value
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import codecs
 import io
+import os
 import sys
 import unicodedata
+from pathlib import Path
 from typing import Any, Final, TextIO
 
 from .ascii_signs import ASCII_SIGNS
@@ -18,7 +20,11 @@ _PLAIN_ASCII: Final = "sweepscope_ascii"
 
 
 def prepare_streams() -> None:
-    """Make stdin, stdout and stderr take any character; once, at the program's start."""
+    """Make stdin, stdout and stderr take any character; once, at the program's start.
+
+    One that is closed becomes /dev/null: the next file that is opened must not take its number.
+    """
+    _open_missing()
     codecs.register_error(LINES, lambda error: _replaced(error, _as_escape))
     codecs.register_error(CELLS, lambda error: _replaced(error, _as_wide))
     codecs.register(_plain_ascii)
@@ -29,6 +35,15 @@ def prepare_streams() -> None:
             stream.reconfigure(encoding=_PLAIN_ASCII if plain else None, errors=LINES)
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(errors="surrogateescape")
+
+
+def _open_missing() -> None:
+    while (fd := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(fd)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115 - open until the end
 
 
 def keep_widths(stream: TextIO) -> None:

@@ -104,7 +104,7 @@ def home_resolved(folder: str, name: str) -> Path:
     except RuntimeError:
         raise ConfigError(f"the home folder in {folder} is not known: set HOME, or {name} to a full path") from None
     except UnicodeEncodeError:
-        raise ConfigError(f"the folder {folder!r} holds a byte that is not UTF-8: set {name} to another") from None
+        raise ConfigError(f"the folder '{folder}' holds a byte that is not UTF-8: set {name} to another") from None
     return found
 
 

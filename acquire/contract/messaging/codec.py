@@ -49,7 +49,7 @@ def encode(message: Message) -> bytes:
     try:
         return _ENCODER.encode(message)
     except UnicodeEncodeError as error:
-        raise ProtocolError(f"{error.object[:120]!r} holds a byte that is not UTF-8: rename it") from None
+        raise ProtocolError(f"'{error.object[:120]}' holds a byte that is not UTF-8: rename it") from None
     except OverflowError:
         raise ProtocolError("a number has more than 64 bits: give a smaller one") from None
 

@@ -68,7 +68,7 @@ def write_page(path: Path, results: ScanResults) -> None:
     Raises:
         ResultWriteError: the folder cannot be written to.
     """
-    write_result(path, page(results).encode())
+    write_result(path, page(results).encode(errors="backslashreplace"))
 
 
 def grouped(number: int) -> str:
