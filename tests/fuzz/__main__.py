@@ -89,13 +89,13 @@ def _rig(folder: Path) -> Appliance:
 
 def _dead(rig: Appliance) -> str:
     """The services that the case has ended, which are started again."""
-    dead = [name for name, process in rig.processes.items() if process.poll() is not None]
+    dead = {name: process.poll() for name, process in rig.processes.items() if process.poll() is not None}
     if not dead:
         return ""
     log = rig.log.read_text(encoding="utf-8", errors="replace")[-2000:]
     rig.start(*dead)
     rig.client().close()
-    return f"{', '.join(dead)} died: {log}"
+    return f"a service died (status {dead}): {log}"
 
 
 def _copy(known: Path, work: Path) -> Path:
