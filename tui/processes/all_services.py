@@ -69,7 +69,10 @@ def run_up(config: LoadedConfig, config_path: str | None, run_dir: Path) -> int:
     (run_dir / URL_NAME).unlink(missing_ok=True)
     absolute = str(Path(config_path).resolve()) if config_path else None
     supervisor = Supervisor(
-        service_specs(absolute, remote=bool(config.rig.network.host)), child_environment(run_dir), _complain
+        service_specs(absolute, remote=bool(config.rig.network.host)),
+        child_environment(run_dir),
+        _complain,
+        final_refusals=frozenset({"daemon"}),  # a device that is not there
     )
     wake = threading.Event()
     with signals_set(wake) as came:

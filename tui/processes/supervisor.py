@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+from acquire.contract.errors import EXIT_FAILED
 from tui.processes.parent_watch import LIFELINE_VARIABLE
 
 FIRST_BACK_OFF_S = 0.2
@@ -59,6 +60,8 @@ class Supervisor:
     """Called with one line for every death and restart."""
     log_dir: Path | None = None
     """Folder for the children's output, one file each; None: our own streams."""
+    final_refusals: frozenset[str] = frozenset()
+    """Children that are given up when their first start ends with EXIT_FAILED: they have said what is missing."""
     clock_s: Callable[[], float] = time.monotonic
     _children: list[_Child] = field(default_factory=list)
     _lifeline: tuple[int, int] | None = None
@@ -135,6 +138,10 @@ class Supervisor:
         child.process = None
         child.deaths_in_a_row = 1 if lived_s >= HEALTHY_S else child.deaths_in_a_row + 1
         what = f"{child.spec.name} {_how(return_code)} after {lived_s:.1f} s"
+        if return_code == EXIT_FAILED and not child.restarts and child.spec.name in self.final_refusals:
+            child.given_up = True
+            self.say(f"{what}: it says above what to do")
+            return
         if child.deaths_in_a_row >= HOPELESS_STARTS:
             child.given_up = True
             self.say(f"{what}: it ended {child.deaths_in_a_row} times in a row and is given up; see its log")

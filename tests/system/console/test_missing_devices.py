@@ -38,6 +38,27 @@ def test_a_missing_port_is_one_sentence(run_dir, pictures, port, words):
     assert_one_line(done, words)
 
 
+def test_up_ends_at_once_with_the_reason(run_dir, pictures):
+    stage = {"SWEEPSCOPE_STAGE__KIND": "uno", "SWEEPSCOPE_STAGE__PORT": "/dev/ttyNOT", "SWEEPSCOPE_VIEWER__PORT": "0"}
+    done = sweepscope("up", run_dir=run_dir, **REPLAY, **stage, SWEEPSCOPE_CAMERA__DEVICE=pictures)
+    assert done.returncode == 1
+    assert done.stderr.count("no serial port /dev/ttyNOT") == 1 and "Traceback" not in done.stderr
+    assert "daemon cannot be kept running" in done.stderr
+
+
+def test_up_in_a_directory_that_is_too_long_ends_at_once(tmp_path):
+    done = sweepscope("up", run_dir=tmp_path / ("x" * 110))
+    assert done.returncode == 1
+    assert_one_line(done, "longer than the 107", "SWEEPSCOPE_RUN")
+
+
+@pytest.mark.parametrize("command", ["status", "stop", "daemon", "writer", "worker", "viewer", "estimate"])
+def test_all_commands_refuse_it_alike(tmp_path, command):
+    done = sweepscope(command, run_dir=tmp_path / ("x" * 110))
+    assert done.returncode == 1
+    assert_one_line(done, "longer than the 107")
+
+
 def test_another_firmware_is_one_sentence(run_dir, pictures):
     with SerialDevice(grbl) as device:
         stage = {"SWEEPSCOPE_STAGE__KIND": "uno", "SWEEPSCOPE_STAGE__PORT": device.port}

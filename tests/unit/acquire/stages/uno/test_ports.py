@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import threading
 
 import pytest
+import serial
 
 from acquire.contract.config.model import StageConfig
 from acquire.contract.errors import SweepscopeError
@@ -117,6 +119,18 @@ def test_a_name_that_is_no_file_name_is_one_sentence():
         with pytest.raises(SweepscopeError) as caught:
             open_port(name, 115_200)
         assert "\n" not in str(caught.value)
+
+
+def test_a_port_of_another_group_says_how_to_join_it(monkeypatch):
+    def refuse(*_arguments, **_options):
+        raise serial.SerialException(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(ports.serial, "Serial", refuse)
+    with (
+        SerialDevice(silence) as device,
+        pytest.raises(PortError, match="no permission for .* belongs to group .*usermod"),
+    ):
+        open_port(device.port, 115_200)
 
 
 def test_a_busy_port_is_said_to_be_busy():
