@@ -149,3 +149,12 @@ def never_late(command: str) -> bool:
 def needs_control(command: str) -> bool:
     """True if ``command`` is refused while another client holds control; commands that do not exist are too."""
     return command not in PERMISSIONS or PERMISSIONS[command].needs_control
+
+
+BEGIN_WORK = frozenset({"scan", "resume_scan", "goto", "jog", "home", "expose", "prescan", "capture"})
+"""Commands whose reply says that the work has begun, not that it is over."""
+
+
+def accepted_words(name: str) -> str:
+    """What a positive reply to the command means: ``begun`` or ``done``."""
+    return "begun" if name in BEGIN_WORK else "done"

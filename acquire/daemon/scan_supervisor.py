@@ -194,7 +194,8 @@ class ScanSupervisor:
             durable=sweep.durable,
             retaken=len(sweep.retaken),
             missing=sweep.count - committed if scan.done else 0,
-            credit=max(0, window.free()),
+            # check frames need no credit: they may be before the last commit
+            credit=min(max(0, window.free()), window.slots),
             window=window.slots,
             rate_hz=rate_hz,
             eta_s=(sweep.count - committed) / rate_hz if rate_hz > 0 and not sweep.paused else None,

@@ -218,7 +218,9 @@ def show_reply(name: str, result: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print_json({"ok": True, **result})
     else:
-        click.echo(f"{name}: " + (", ".join(f"{key} {value}" for key, value in result.items()) or "done"))
+        from acquire.contract.permissions import accepted_words
+
+        click.echo(f"{name}: " + (", ".join(f"{key} {value}" for key, value in result.items()) or accepted_words(name)))
 
 
 def progress_printer(with_progress: bool, *, every_s: float = 0.2) -> Callable[[int, int], None]:

@@ -14,6 +14,7 @@ import zmq
 
 from acquire.contract.messaging.lanes import Sender, arrived, connect
 from acquire.contract.messaging.messages import Command, Reply
+from acquire.contract.permissions import accepted_words
 from acquire.contract.process.clocks import Clock, MonotonicClock
 from acquire.contract.rig_client.commands import RETRY_MS, CommandClient, CommandState, CommandUpdate, new_command
 
@@ -101,7 +102,7 @@ class CommandThread:
         error = update.reply.error if update.reply is not None else ""
         return {
             CommandState.SENT: " ...",
-            CommandState.DONE: ": done",
+            CommandState.DONE: f": {accepted_words(update.command.name)}",
             CommandState.REFUSED: f" was refused: {error}",
             CommandState.NO_DAEMON: " was not sent: no rig daemon answers; start it with 'sweepscope up'",
             CommandState.STALE: " was not sent in time; nothing has moved",

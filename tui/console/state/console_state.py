@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, assert_never
 
 from acquire.contract.messaging.messages import ResultEnd, Status
-from acquire.contract.permissions import needs_control
+from acquire.contract.permissions import accepted_words, needs_control
 from tui.console.link.messages import (
     CommandAnswered,
     LinkChanged,
@@ -99,7 +99,7 @@ class ConsoleState:
         elif not answer.ok:
             self.log.say(f"{answer.name}: {answer.detail}", "error")
         elif answer.name != "stop":
-            self.log.say(f"{answer.name}: {answer.detail or 'done'}")
+            self.log.say(f"{answer.name}: {answer.detail or accepted_words(answer.name)}")
 
     # ---- why not now ----
 

@@ -107,6 +107,18 @@ def test_a_sweep_without_a_cloud_says_so_beside_its_outcome():
     play(script, size=(160, 50))
 
 
+@pytest.mark.parametrize(
+    ("command", "words"), [("prescan", "begun"), ("goto", "begun"), ("home", "begun"), ("lamp", "done")]
+)
+def test_a_reply_says_begun_where_the_work_goes_on(command, words):
+    async def script(console):
+        await console.connect()
+        await console.hear(CommandAnswered(command, True, "", 1, "request-x"))
+        assert f"{command}: {words}" in console.log
+
+    play(script)
+
+
 def test_a_typed_name_replaces_the_default():
     async def script(console):
         await console.connect()
