@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -69,7 +70,7 @@ def candidate_in(place: Path, asked: Asked) -> Candidate:
     Raises:
         ScanFileError: no pictures; several series; a pattern that fits nothing.
     """
-    if place.is_file():
+    if _is_file(place):
         if place.suffix.lower() not in SUFFIXES:
             raise ScanFileError(
                 f"{readable(place)} is neither a folder of pictures nor a TIFF stack: take a video apart into pictures "
@@ -87,6 +88,13 @@ def candidate_in(place: Path, asked: Asked) -> Candidate:
             "that a scan can have"
         )
     return _as_is(listing) if asked.as_is else _series(listing)
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except OSError:  # a name too long, a folder on the way that may not be entered: listing it says so
+        return False
 
 
 def _stack(path: Path, place: Path) -> Candidate:
@@ -170,9 +178,8 @@ def _gap_words(gaps: tuple[Gap, ...]) -> tuple[str, ...]:
 def _several(listing: Listing, kinds: list[Series], names: list[str]) -> str:
     several = [series for series in kinds if len(series.members) > 1]
     patterns = [found for series in (several or kinds)[:2] if (found := choosing(series, names))]
-    how = f"choose one with --pattern '{readable(patterns[0])}'" if patterns else "choose one with --pattern"
-    if len(patterns) > 1:
-        how += f" or '{readable(patterns[1])}'"
+    shown = " or ".join(shlex.quote(readable(pattern)) for pattern in patterns)
+    how = f"choose one with --pattern {shown}".rstrip()
     return (
         f"{readable(listing.folder)} holds {len(kinds)} series, not one: "
         f"{listed([series.words() for series in kinds], _SHOWN)}; nothing was written: {how}, "

@@ -143,7 +143,7 @@ def _of_one_template(names: list[_Name]) -> list[Series]:
         return [_series(names, len(columns) - 1)]
     counters = [place for place in varying if len(set(columns[place])) == len(names)]
     if counters:
-        counter = max(counters, key=lambda place: (_evenness(columns[place]), place))
+        counter = max(counters, key=lambda place: (*_evenness(columns[place]), place))
         others = [place for place in varying if place != counter]
         return [_series(names, counter, _disagreement(names, counter, others))]
     counter = min(varying, key=lambda place: (len(_grouped(names, varying, place)), -place))
@@ -157,10 +157,11 @@ def _grouped(names: list[_Name], varying: list[int], counter: int) -> list[list[
     return list(groups.values())
 
 
-def _evenness(values: Sequence[int]) -> float:
-    """Share of the steps from one value to the next that are the most frequent one."""
+def _evenness(values: Sequence[int]) -> tuple[float, int]:
+    """Share of the steps from one value to the next that are the most frequent one, and how small that is."""
     steps = Counter(after - before for before, after in pairwise(sorted(values)))
-    return steps.most_common(1)[0][1] / steps.total()
+    step, times = steps.most_common(1)[0]
+    return times / steps.total(), -step
 
 
 def _disagreement(names: list[_Name], counter: int, others: list[int]) -> str:
@@ -192,8 +193,9 @@ def _series(names: list[_Name], counter: int, contradiction: str = "") -> Series
 
 def _filled(names: list[_Name], counter: int, filler: str, *, escape: bool) -> str:
     """The common text of names, with ``filler`` for the number that counts and ``*`` for others that vary."""
-    first = unicodedata.normalize("NFC", names[0].name)
-    texts = [filler if place == counter else text for place, text in enumerate(names[0].texts)]
+    shown = next((name for name in names if name.negative < 0), names[0])
+    first = unicodedata.normalize("NFC", shown.name)
+    texts = [filler if place == counter else text for place, text in enumerate(shown.texts)]
     for place in range(len(texts)):
         if place != counter and len({name.texts[place] for name in names}) > 1:
             texts[place] = "*"

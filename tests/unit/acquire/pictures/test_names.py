@@ -38,6 +38,9 @@ def patterns(*names: str) -> list[str]:
         (["u\u0308b1.png", "\u00fcb2.png"], "numbers 1 to 2"),
         (["a b\n1.png", "a b\n2.png"], "numbers 1 to 2"),
         (["part1_001.png", "part1_002.png", "part2_003.png"], "numbers 1 to 3"),
+        (["a1_b7.png", "a2_b9.png"], "numbers 1 to 2"),
+        (["t0010_f1.png", "t0020_f2.png", "t0030_f3.png"], "numbers 1 to 3"),
+        (["f01_t0010.png", "f02_t0020.png", "f03_t0030.png"], "numbers 1 to 3"),
     ],
 )
 def test_numbers_without_gaps_are_a_sequence(names, said):
@@ -102,6 +105,7 @@ def test_two_numbers_that_disagree_about_the_order_are_told():
         ["left_0001.png", "left_0002.png", "left_0001_mask.png", "right_0001.png", "right_0002.png"],
         ["s[1]_1.png", "s[1]_2.png", "s1_1.png", "s1_2.png", "b*.png"],
         ["a1.png", "a2.png", "a1.tif", "a2.TIF"],
+        ["z_-1.png", "z_0.png", "z_1.png", "dark.png"],
     ],
 )
 def test_the_pattern_proposed_for_a_series_chooses_it_and_nothing_else(names):
