@@ -54,8 +54,32 @@ class Number(click.FloatRange):
         return found
 
 
-POSITION_STEPS = click.IntRange(-10_000_000, 10_000_000)
-"""Microsteps from zero, as far as any stage can be."""
+class Position(click.ParamType):
+    """Microsteps, or um and mm by ``stage.um_per_microstep`` of this machine; as far as any stage can be."""
+
+    name = "position"
+    FARTHEST_STEPS = 10_000_000
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Microsteps."""
+        from tui.text.positions import parse_position
+
+        text, um_per_microstep = str(value), 1.0
+        if text.strip().endswith("m"):
+            session = ctx.find_object(Session) if ctx is not None else None
+            if session is None or session.remote.address:
+                self.fail(f"{text!r}: give microsteps to a rig on another machine", param, ctx)
+            um_per_microstep = session.config().rig.stage.um_per_microstep
+        try:
+            steps = parse_position(text, um_per_microstep)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if abs(steps) > self.FARTHEST_STEPS:
+            self.fail(f"{text} is farther than any stage goes ({self.FARTHEST_STEPS} microsteps)", param, ctx)
+        return steps
+
+
+POSITION_STEPS = Position()
 
 
 @dataclass(frozen=True)

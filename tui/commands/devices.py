@@ -39,11 +39,11 @@ def _move(session: Session, name: str, wait: bool, as_json: bool, /, **args: int
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
-@click.argument("position_steps", type=POSITION_STEPS)
+@click.argument("position_steps", metavar="POSITION", type=POSITION_STEPS)
 @_wait
 @rig_options
 def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> None:
-    """Move the stage to POSITION_STEPS microsteps."""
+    """Move the stage to POSITION: microsteps (1578), um (5010um) or mm (5.01mm)."""
     _move(session, "goto", wait, as_json, position_steps=position_steps)
 
 
@@ -52,7 +52,7 @@ def goto(session: Session, position_steps: int, wait: bool, as_json: bool) -> No
 @_wait
 @rig_options
 def jog(session: Session, steps: int, wait: bool, as_json: bool) -> None:
-    """Move the stage by STEPS microsteps (negative: back)."""
+    """Move the stage by STEPS: microsteps (-20), um (63.5um) or mm; negative is back."""
     _move(session, "jog", wait, as_json, steps=steps)
 
 

@@ -9,7 +9,7 @@ from tui.console.screens.base import RigScreenBase
 from tui.console.screens.dialogs import FormDialog, FormField
 from tui.console.state import scan_rules
 from tui.console.state.next_scan import NextScan
-from tui.console.state.scan_forms import parse_position
+from tui.text.positions import parse_position
 
 PREVIEW_HZ = 5.0
 

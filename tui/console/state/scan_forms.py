@@ -7,25 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from tui.console.state.next_scan import NextScan
+from tui.text.positions import parse_position
 
 NAME_WORDS = "not a name: use 1 to 64 letters, digits, - _ . without spaces"
-
-
-def parse_position(text: str, um_per_microstep: float) -> int:
-    """Microsteps of ``1578``, ``1578 steps``, ``5010um`` or ``5.01mm`` (um and mm to the nearest microstep).
-
-    Raises:
-        ValueError: it is not a position.
-    """
-    found = re.fullmatch(r"\s*([+-]?\d+(?:\.\d+)?)\s*(steps|um|mm)?\s*", text)
-    if found is None:
-        raise ValueError(f"{text!r} is not a position: type microsteps (1578), or um (5010um)")
-    value, unit = float(found[1]), found[2] or "steps"
-    if unit == "steps":
-        if not value.is_integer():
-            raise ValueError(f"{text!r}: microsteps are whole numbers; write {found[1]}um for um")
-        return int(value)
-    return round(value * (1000.0 if unit == "mm" else 1.0) / um_per_microstep)
 
 
 def parse_number(text: str, label: str, low: float, high: float) -> float:

@@ -58,6 +58,12 @@ def test_a_move_that_is_stopped_while_it_is_waited_for_is_status_1(rig, sweepsco
     assert status == 1 and "goto: the stage stopped at" in complaint and complaint.count("\n") == 1
 
 
+def test_positions_are_given_in_microsteps_um_or_mm(rig, sweepscope):
+    for typed, steps in (("1000", 1000), ("0.3175mm", 100), ("635um", 200)):
+        assert sweepscope("goto", typed, "--wait")[0] == 0 and rig.status()["position_steps"] == steps
+    assert sweepscope("jog", "-63.5um", "--wait")[0] == 0 and rig.status()["position_steps"] == 180
+
+
 def test_settings_are_set_by_name_and_shown_with_their_limits(rig, sweepscope):
     assert sweepscope("camera", "set", "gain=12", "exposure-ms=20")[0] == 0
     assert rig.status()["camera"] == {"exposure_ms": 20.0, "gain": 12.0, "brightness_percent": 0.0}
@@ -73,6 +79,10 @@ def test_settings_are_set_by_name_and_shown_with_their_limits(rig, sweepscope):
         (("camera", "set", "gain=loud"), 2, "no number"),
         (("camera", "expose", "--wait"), 1, "the lamp is off"),
         (("goto", "5000"), 1, "stage.travel_max_steps = 4500"),
+        (("goto", "15mm"), 1, "stage.travel_max_steps = 4500"),
+        (("goto", "10 furlongs"), 2, "type microsteps"),
+        (("goto", "5.5"), 2, "write 5.5um"),
+        (("jog", "1e400"), 2, "is not a position"),
         (("scan", "--from-proposal"), 1, "sweepscope prescan --wait"),
         (("estimate", "--last-steps", "9000"), 1, "outside the stage's travel"),
         (("control", "take"), 1, "at a terminal only"),

@@ -13,9 +13,10 @@ from tui.console.keys import load_keymap
 from tui.console.state.estimate import Estimate
 from tui.console.state.jog import JogGate, clip, next_size
 from tui.console.state.next_scan import NextScan
-from tui.console.state.scan_forms import parse_plan, parse_position, parse_words
+from tui.console.state.scan_forms import parse_plan, parse_words
 from tui.console.state.scan_rules import why_not
 from tui.console.state.stop_state import StopState
+from tui.text.positions import parse_position
 
 TRAVEL = (0, 4500)
 
