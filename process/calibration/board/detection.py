@@ -27,6 +27,8 @@ SEED_SIDES = (7, 4, 3)
 SEED_ATTEMPTS = 8
 MIN_ROW = 3
 """Least corners of a border row of the grid: one or two may be false."""
+SADDLE_SHARE = 0.5
+"""Least share of saddles in a border row that makes the grid larger than the board given."""
 CHARUCO_WINDOW_SHARE = 0.4
 """Share of the window for a chessboard's corner: the markers begin an eighth of a square away."""
 SHARPENED_SCALE = 3
@@ -115,14 +117,15 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
             f"no chessboard found ({board.columns} x {board.rows} squares expected): is it sharp, lit, in the field, "
             "and face up?"
         )
-    grid = _cropped(grid)
+    grid = _without_false_lines(grey, _cropped(grid), board.grid)
     known = np.isfinite(grid[..., 0])
     sizes = tuple(sorted(known.any(axis=axis).sum() for axis in (0, 1)))
     wanted = tuple(sorted(board.grid))
     if sizes[0] > wanted[0] or sizes[1] > wanted[1]:
         raise BoardNotFoundError(
             f"the board shows at least {sizes[1] + 1} x {sizes[0] + 1} squares, more than the "
-            f"{max(board.columns, board.rows)} x {min(board.columns, board.rows)} given: another board, or --squares"
+            f"{max(board.columns, board.rows)} x {min(board.columns, board.rows)} given: another board, or --squares "
+            "(which counts squares, not inner corners)"
         )
     if known.sum() < MIN_CORNERS:
         raise BoardNotFoundError(f"only {known.sum()} corners are visible; at least {MIN_CORNERS} are needed")
@@ -175,6 +178,34 @@ def _cropped(grid: F8) -> F8:
     return grid[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
 
+def _without_false_lines(grey: NDArray[np.uint8], grid: F8, wanted: tuple[int, int]) -> F8:
+    """The grid without border lines that make it larger than ``wanted`` corners and are hardly corners.
+
+    Squares at the border have corners of their own towards a narrow margin, in the places of a further line. These are
+    no saddles; the next line of a board that really is larger consists of saddles.
+    """
+    pitch_px = grid_pitch_px(grid) if min(grid.shape[:2]) > 1 else 0.0
+    for _ in range(2):
+        grid = grid.transpose(1, 0, 2)
+        most = min(wanted) if len(grid) <= grid.shape[1] else max(wanted)
+        while len(grid) > most:
+            saddles = [_saddle_count(grey, line, pitch_px) for line in (grid[0], grid[-1])]
+            if min(saddles) >= SADDLE_SHARE * grid.shape[1]:
+                break
+            grid = grid[1:] if saddles[0] <= saddles[1] else grid[:-1]
+    return grid
+
+
+def _saddle_count(grey: NDArray[np.uint8], line: F8, pitch_px: float) -> int:
+    known = line[np.isfinite(line[:, 0])]
+    return int(_steady(refine_saddles(grey, known, pitch_px), known, pitch_px).sum())
+
+
+def _steady(refined: F8, pixels: F8, pitch_px: float) -> NDArray[np.bool_]:
+    """Which corners have their saddle near them: [n]."""
+    return np.asarray(np.linalg.norm(refined - pixels, axis=1) < max(0.15 * pitch_px, 1.0), dtype=np.bool_)
+
+
 def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None) -> Sighting:
     if grid.shape[1] != board.grid[0] and grid.shape[:2] == board.grid:
         grid = grid.transpose(1, 0, 2)
@@ -187,7 +218,7 @@ def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None
     pitch_px = grid_pitch_px(grid)
     pixels = grid[known]
     refined = refine_saddles(grey, pixels, pitch_px)
-    steady = np.linalg.norm(refined - pixels, axis=1) < max(0.15 * pitch_px, 1.0)
+    steady = _steady(refined, pixels, pitch_px)
     whole = grid.shape[:2] == board.grid[::-1] and bool(known.all())
     middle = (np.array([grid.shape[1], grid.shape[0]]) - 1) / 2
     mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
