@@ -228,10 +228,10 @@ class ScanScreen(CameraScreen):
     # ---- the sweep ----
 
     def action_start(self) -> None:
-        """Ask for a name and start a sweep."""
+        """Ask what is scanned and start a sweep."""
 
-        def start(name: str) -> None:
-            self._change(replace(self.next_scan, name=name))
+        def start(scan: NextScan) -> None:
+            self._change(scan)
             self.send("scan", **self.next_scan.scan_args())
 
         dialog = start_dialog(self.next_scan, self._plan.estimate, self.view.status)

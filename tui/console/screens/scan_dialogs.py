@@ -15,7 +15,7 @@ from tui.console.screens.base import RigScreenBase
 from tui.console.screens.dialogs import Dialog, FormDialog, FormField, LineInput
 from tui.console.state.estimate import Estimate
 from tui.console.state.next_scan import NextScan
-from tui.console.state.scan_forms import parse_name, parse_number, parse_plan, parse_words
+from tui.console.state.scan_forms import numbered, parse_number, parse_plan, parse_start, parse_words
 from tui.text.status_text import scan_name
 
 
@@ -51,11 +51,19 @@ def start_lines(scan: NextScan, estimate: Estimate) -> list[str]:
 
 
 def start_dialog(scan: NextScan, estimate: Estimate, status: Status | None) -> FormDialog:
-    """Shows what the sweep takes; answers with its name, by default the scan's own, else that of the last scan."""
+    """Shows what the sweep takes; answers with the scan, its name, specimen and operator as typed.
+
+    The name is by default the scan's own, else that of the last scan, numbered on.
+    """
     last_name = scan_name(status).partition("-")[2] if status is not None else ""
-    name = scan.name if scan.name != NextScan.name or not last_name else last_name
-    fields, lines = [FormField("name", "name", name)], start_lines(scan, estimate)
-    return FormDialog("start a sweep", fields, lambda texts: parse_name(texts["name"]), done="starts it", lines=lines)
+    name = scan.name if scan.name not in (NextScan.name, last_name) or not last_name else numbered(last_name)
+    fields = [
+        FormField("name", "name", name),
+        FormField("specimen", "specimen", scan.specimen),
+        FormField("operator", "operator", scan.operator),
+    ]
+    lines = start_lines(scan, estimate)
+    return FormDialog("start a sweep", fields, lambda texts: parse_start(texts, scan), done="starts it", lines=lines)
 
 
 class AdjustDialog(Dialog[None]):

@@ -65,6 +65,21 @@ def parse_words(texts: dict[str, str], scan: NextScan) -> NextScan:
     )
 
 
+def parse_start(texts: dict[str, str], scan: NextScan) -> NextScan:
+    """``scan`` with name, specimen and operator.
+
+    Raises:
+        ValueError: the name cannot be part of a folder's name.
+    """
+    return replace(scan, name=parse_name(texts["name"]), specimen=texts["specimen"], operator=texts["operator"])
+
+
+def numbered(name: str) -> str:
+    """The name of the next scan of a series: ``ear-2`` after ``ear``, ``ear-3`` after ``ear-2``."""
+    found = re.fullmatch(r"(.*[A-Za-z_.])-(\d{1,3})", name)
+    return f"{found[1]}-{int(found[2]) + 1}" if found else f"{name}-2"
+
+
 def parse_name(text: str) -> str:
     """The name of a scan.
 

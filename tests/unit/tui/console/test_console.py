@@ -19,7 +19,8 @@ from tui.console.link.messages import (
     StatusArrived,
 )
 from tui.console.screens.actions import ActionList
-from tui.console.screens.dialogs import Confirm, FormDialog
+from tui.console.screens.dialogs import Confirm, FormDialog, LineInput
+from tui.console.state.scan_forms import numbered
 from tui.console.widgets.frame import FaultBanner, Header, KeyLine
 from tui.console.widgets.scan_panes import PlanPane, ProgressPane, StagePane
 
@@ -67,14 +68,14 @@ def test_a_lost_daemon_is_said_and_the_last_known_state_is_marked_as_that():
     play(script)
 
 
-def test_start_asks_for_a_name_with_the_last_one_as_default():
+def test_start_asks_what_is_scanned_with_the_last_name_numbered_on():
     async def script(console):
         await console.connect(replace(IDLE, scan_path="/data/20260101T120000Z-left-ear", outcome=Outcome.COMPLETE))
         await console.press("s")
         assert isinstance(console.app.screen, FormDialog)
         await console.press("enter")
         assert [name for name, _ in console.sent] == ["scan"]
-        assert console.sent[0][1]["name"] == "left-ear"
+        assert console.sent[0][1]["name"] == "left-ear-2"
 
     play(script)
 
@@ -117,6 +118,24 @@ def test_a_reply_says_begun_where_the_work_goes_on(command, words):
         assert f"{command}: {words}" in console.log
 
     play(script)
+
+
+def test_the_specimen_is_asked_for_at_each_start_and_kept_for_the_next():
+    async def script(console):
+        await console.connect()
+        await console.press("s", "tab", *"bone", "space", "7", "tab", *"ann", "enter")
+        assert console.sent[0][1]["specimen"] == "bone 7" and console.sent[0][1]["operator"].endswith("ann")
+        await console.press("s")
+        assert [field.value for field in console.app.screen.query(LineInput)][1] == "bone 7"
+
+    play(script)
+
+
+@pytest.mark.parametrize(
+    ("name", "following"), [("ear", "ear-2"), ("ear-2", "ear-3"), ("ear-99", "ear-100"), ("2026-11-30", "2026-11-30-2")]
+)
+def test_a_name_is_numbered_on(name, following):
+    assert numbered(name) == following
 
 
 def test_a_typed_name_replaces_the_default():
