@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from acquire.contract.errors import CalibrationError
 
 from .grid_growth import best_block, grow
+from .pyramid import Level, in_full, levels, refined_in_full
 from .saddles import refine_saddles, saddle_blocks
 
 F8 = NDArray[np.float64]
@@ -110,8 +111,7 @@ def _grey8(image: NDArray[np.generic]) -> NDArray[np.uint8]:
 
 
 def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
-    sector = _whole(grey, board)
-    grid = _largest(grey, board) if sector is None else grow(grey, sector, max(board.grid) + 2)
+    sector, grid = _located(grey, board)
     if grid is None:
         raise BoardNotFoundError(
             f"no chessboard found ({board.columns} x {board.rows} squares expected): is it sharp, lit, in the field, "
@@ -132,10 +132,34 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
     return _sighting(grey, grid, board, sector)
 
 
-def _whole(grey: NDArray[np.uint8], board: Board) -> F8 | None:
+def _located(grey: NDArray[np.uint8], board: Board) -> tuple[F8 | None, F8 | None]:
+    """All corners [rows, columns, 2] by the sector detector, or None; and the grid grown in the picture, or None.
+
+    A large picture is searched in reduced ones: its grid is refined in the full picture, the sector detector's corners
+    are those of the reduced one.
+    """
+    best, most, factor = None, 0, 1
+    for level in levels(grey):
+        sector = None if level.quick else _whole(level.grey, board, level.thorough)
+        grid = _largest(level, board) if sector is None else grow(level.grey, sector, max(board.grid) + 2)
+        count = 0 if grid is None else int(np.isfinite(grid[..., 0]).sum())
+        if sector is not None or count > most:
+            best, most, factor = grid, count, level.factor
+        if sector is not None or most > 0.5 * board.grid[0] * board.grid[1]:
+            break
+    if best is None or factor == 1:
+        return sector, best
+    best = _cropped(best)
+    if not best.size:
+        return None, None
+    full = refined_in_full(grey, best, factor, factor * grid_pitch_px(best))
+    return None if sector is None else in_full(sector, factor), full
+
+
+def _whole(grey: NDArray[np.uint8], board: Board, thorough: bool) -> F8 | None:
     """All corners [rows, columns, 2] by OpenCV's sector detector, or None."""
     small = board.grid[0] * board.grid[1] <= SMALL_GRID
-    for flags in (cv2.CALIB_CB_ACCURACY, _SECTOR)[: 2 if small else 1]:
+    for flags in (cv2.CALIB_CB_ACCURACY, _SECTOR)[: 2 if small and thorough else 1]:
         found, corners = cv2.findChessboardCornersSB(grey, board.grid, flags=flags)
         if found:
             break
@@ -144,12 +168,12 @@ def _whole(grey: NDArray[np.uint8], board: Board) -> F8 | None:
     return np.asarray(corners, dtype=np.float64).reshape(board.grid[1], board.grid[0], 2)
 
 
-def _largest(grey: NDArray[np.uint8], board: Board) -> F8 | None:
+def _largest(level: Level, board: Board) -> F8 | None:
     """Corners [rows, columns, 2], NaN where unknown, grown from the best seed; None where there is no seed."""
     limit = max(board.grid) + 2
     best, most = None, 0
-    for attempt, seed in enumerate(_seeds(grey, board)):
-        grid = grow(grey, seed, limit)
+    for attempt, seed in enumerate(_seeds(level, board)):
+        grid = grow(level.grey, seed, limit)
         count = int(np.isfinite(grid[..., 0]).sum())
         if count > most:
             best, most = grid, count
@@ -158,10 +182,12 @@ def _largest(grey: NDArray[np.uint8], board: Board) -> F8 | None:
     return best
 
 
-def _seeds(grey: NDArray[np.uint8], board: Board) -> Iterator[F8]:
+def _seeds(level: Level, board: Board) -> Iterator[F8]:
     """Small parts of the chessboard, [r, c, 2]; those of OpenCV's detector last: it may skip rows."""
-    yield from saddle_blocks(grey)
-    for picture in (grey, cv2.createCLAHE(3.0, (6, 6)).apply(grey)):
+    yield from saddle_blocks(level.grey)
+    if not level.thorough:
+        return
+    for picture in (level.grey, cv2.createCLAHE(3.0, (6, 6)).apply(level.grey)):
         for side in SEED_SIDES:
             size = (min(side, board.grid[0]), min(side, board.grid[1]))
             found, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, size, _SECTOR | cv2.CALIB_CB_LARGER)

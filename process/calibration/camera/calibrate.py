@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -129,7 +129,11 @@ def _number(value: float) -> float | None:
 
 
 def calibrate_camera(
-    pictures: Sequence[tuple[str, NDArray[np.generic]]], board: Board, stage: str | None = None, corners: str = "auto"
+    pictures: Sequence[tuple[str, NDArray[np.generic]]],
+    board: Board,
+    stage: str | None = None,
+    corners: str = "auto",
+    progress: Callable[[str], None] = lambda _line: None,
 ) -> CameraResult:
     """Calibrate the camera from named pictures of the board.
 
@@ -138,6 +142,7 @@ def calibrate_camera(
         board: the pattern.
         stage: name of the picture with the board lying flat on the stage: z = 0, origin in the middle of the pattern.
         corners: estimate of the corners: saddle, sector, gradient, or auto (the best one, or the mean of two).
+        progress: called with a line of text after each picture, and before the fit.
 
     Raises:
         CalibrationError: fewer than three usable views, parallel views, different sizes, or a stage view that cannot
@@ -146,11 +151,17 @@ def calibrate_camera(
     size = _common_size(pictures)
     if stage is not None and stage not in [name for name, _ in pictures]:
         raise CalibrationError(f"the stage view {stage} is not among the pictures: name one of them")
-    found = [_view(name, pixels, board) for name, pixels in pictures]
+    found = []
+    for index, (name, pixels) in enumerate(pictures):
+        found.append(_view(name, pixels, board))
+        seen = found[-1].sighting
+        outcome = found[-1].reason if seen is None else f"{len(seen.pixels)} corners"
+        progress(f"picture {index + 1} of {len(pictures)}, {name}: {outcome}")
     good = [view for view in found if view.sighting is not None]
     if not good:
         raise CalibrationError(f"the board was found in none of {len(found)} pictures: {found[0].reason}")
     _enough(len(good), found)
+    progress(f"fitting the camera to {len(good)} views")
     sightings, estimate = choose_corners([view.sighting for view in good if view.sighting], size, corners)
     names, dropped = [view.name for view in good], {}
     fit, held_out = choose_model(sightings, size)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +12,9 @@ import click
 from acquire.contract.errors import CalibrationError
 from tui.commands.calibrate.shared import board_of, out_option, save, views_options
 from tui.commands.context import PATH, force_option, json_option
+
+SILENT_S = 2.0
+"""Work that takes no longer than this shows no progress."""
 
 
 class BoardViews(NamedTuple):
@@ -59,6 +64,21 @@ def _of_one_size(pictures: list[tuple[str, Any]], left_out: list[tuple[str, str]
     return BoardViews(same, left_out + others)
 
 
+class SlowProgress:
+    """Lines of progress on stderr once the work has taken longer than SILENT_S; those of before are then told too."""
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._began_s = now, now()
+        self._kept: list[str] = []
+
+    def __call__(self, line: str) -> None:
+        """Take one line."""
+        self._kept.append(line)
+        if self._now() - self._began_s > SILENT_S:
+            click.echo("\n".join(self._kept), err=True)
+            self._kept.clear()
+
+
 @click.command()
 @click.argument("images", nargs=-1, required=True, type=PATH)
 @views_options
@@ -96,7 +116,8 @@ def camera(
     views = read_pictures(images)
     for odd in views.left_out:
         click.echo(f"left out: {told([odd])}", err=True)
-    result = calibrate_camera(views.pictures, board_of(squares, square_mm, kind), name, corners)
+    board = board_of(squares, square_mm, kind)
+    result = calibrate_camera(views.pictures, board, name, corners, SlowProgress())
     document, lines = new_document(result.document()), result.lines()
     page = ("camera", camera_page(result, lines))
     left_out = [{"name": name, "reason": why} for name, why in views.left_out]

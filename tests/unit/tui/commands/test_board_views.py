@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.camera import read_pictures
+from tui.commands.calibrate.camera import SlowProgress, read_pictures
 from tui.commands.calibrate.response import _from_folder
 
 RNG = np.random.default_rng(1)
@@ -65,3 +65,14 @@ def test_exposures_of_twelve_bits_in_sixteen_have_twelve(tmp_path):
         cv2.imwrite(str(tmp_path / f"{ms}ms.tif"), RNG.integers(0, 4095, (50, 60)).astype(np.uint16))
     series, depth = _from_folder(tmp_path)
     assert depth == 12 and len(series) == 4
+
+
+def test_progress_is_silent_for_quick_work_and_told_whole_once_it_takes_longer(capsys):
+    clock = iter([0.0, 1.0, 3.0, 4.0])
+    progress = SlowProgress(now=lambda: next(clock))
+    progress("picture 1 of 3")
+    assert capsys.readouterr().err == ""
+    progress("picture 2 of 3")
+    assert capsys.readouterr().err == "picture 1 of 3\npicture 2 of 3\n"
+    progress("picture 3 of 3")
+    assert capsys.readouterr().err == "picture 3 of 3\n"
