@@ -22,11 +22,13 @@ other edge is the one that sweeps."""
 def why_nothing(maps: Maps, settings: Settings, cloud: PointCloud | None, form: FrameFormat) -> str:
     """Why there is no point (without a light plane: no crossing), and what to try; empty where there is one."""
     counts = maps.counts
+    other = counts["past_s_in_first"] > OTHER_EDGE_SHARE * counts["over_contrast"]
+    wrong_edge = other_edge_words(counts, settings.edge) if other else ""
     if counts["crossings"] == 0:
-        return f"no pixel has a crossing: {_why_no_crossing(maps, settings, form)}"
+        return f"no pixel has a crossing: {wrong_edge or _why_no_crossing(maps, settings, form)}"
     if cloud is None or len(cloud) > 0:
         return ""
-    return f"none of the {counts['crossings']} crossings became a point: {_why_no_point(maps, settings)}"
+    return f"none of the {counts['crossings']} crossings became a point: {wrong_edge or _why_no_point(maps, settings)}"
 
 
 def _why_no_crossing(maps: Maps, settings: Settings, form: FrameFormat) -> str:
@@ -40,8 +42,6 @@ def _why_no_crossing(maps: Maps, settings: Settings, form: FrameFormat) -> str:
         if largest < LEAST_CONTRAST:
             return f"{words}: does the light sweep over these pictures?"
         return f"{words}: try --contrast {max(int(0.6 * largest), LEAST_CONTRAST)}"
-    if counts["past_s_in_first"] > OTHER_EDGE_SHARE * counts["over_contrast"]:
-        return other_edge_words(counts, settings.edge)
     if counts["unresolved"]:
         return f"{counts['unresolved']} pixels could not be resolved from the file: run 'sweepscope verify'"
     return "where pixels change, the whole edge could not be fitted: try --method linear"

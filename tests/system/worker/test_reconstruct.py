@@ -283,6 +283,15 @@ def test_an_edge_that_was_asked_for_is_kept_and_the_other_one_named(make_scan):
     assert summary.warnings[0] == summary.nothing and not any("%" in words for words in summary.warnings)
 
 
+def test_a_few_stray_crossings_of_the_wrong_edge_do_not_hide_the_other_one(make_scan):
+    frames = [255 - frame for frame in edge_frames(COUNT, WIDTH, HEIGHT)]
+    for index, frame in enumerate(frames):
+        frame[:4, :4] = 20 if index < 2 else 200
+    summary = reconstruct(make_scan(frames), ReconstructOptions(contrast=50, method="linear", edge="rising"))
+    assert summary.results.report.counts["crossings"] > 0
+    assert "--edge falling" in (summary.nothing or " ".join(summary.warnings))
+
+
 def test_a_rising_edge_stays_rising(make_scan):
     summary = reconstruct(make_scan(calibration=False), ReconstructOptions(contrast=50))
     assert summary.results.report.settings["edge"] == "rising" and not summary.nothing
