@@ -15,6 +15,7 @@ from tui.console.link.messages import CommandAnswered
 from tui.console.link.rig_view import RigView
 from tui.console.screens.base import action_name
 from tui.console.screens.camera_screen import CameraScreen
+from tui.console.screens.dialogs import Confirm
 from tui.console.screens.jogging import Jogging
 from tui.console.screens.scan_dialogs import (
     AdjustDialog,
@@ -38,6 +39,8 @@ TALL = 33
 """From this height on plan and progress are both in view."""
 SETTLE_S = 0.3
 """The estimate is requested when the plan has not changed for so long."""
+MAX_UNDO = 50
+"""Changes of the plan that can be taken back."""
 _SETTINGS = {
     "exposure_ms": ("exposure", "ms", (0.01, 1000.0)),
     "gain": ("gain", "dB", (0.0, 48.0)),
@@ -77,6 +80,7 @@ _IN_PANES = [
     Binding("n", "plan", "plan", id="scan.plan", tooltip="type first, last, steps per frame, settle, mode"),
     Binding("m", "mode", "mode", id="scan.mode", tooltip="stop for each frame, or trigger on the fly"),
     Binding("w", "prescan", "pre-scan", id="scan.prescan", tooltip="a coarse sweep that proposes the bounds"),
+    Binding("U", "undo", "undo", id="scan.undo", tooltip="take back the last change of the plan"),
     Binding("u", "use_proposal", "use it", id="scan.use_proposal", tooltip="use the proposal of the pre-scan"),
     Binding("i", "words", "name", id="scan.words", tooltip="name, specimen, operator, notes, tags"),
 ]
@@ -112,6 +116,7 @@ class ScanScreen(CameraScreen):
         self._jogging = Jogging(self)
         self._settling: Timer | None = None
         self._estimated: tuple[NextScan, float | None] | None = None
+        self._earlier: list[NextScan] = []
 
     def body(self) -> ComposeResult:
         """Picture and log on the left, the panes on the right."""
@@ -158,12 +163,21 @@ class ScanScreen(CameraScreen):
 
     def why_not(self, action: str) -> str:
         """A jog that would be refused because of our own move may be pressed: it waits for the end of the move."""
+        if action == "undo":
+            return "" if self._earlier else "nothing to undo"
         return "" if action == "jog" and self._jogging.in_flight else super().why_not(action)
 
     # ---- the plan and its estimate ----
 
     def _change(self, scan: NextScan) -> None:
+        if scan != self.next_scan:
+            self._earlier = [*self._earlier, self.next_scan][-MAX_UNDO:]
         self.shell.state.next_scan = scan
+        self.show_all(self.view)
+
+    def action_undo(self) -> None:
+        """Take back the last change of the plan."""
+        self.shell.state.next_scan = self._earlier.pop()
         self.show_all(self.view)
 
     def _estimate_when_settled(self, view: RigView) -> None:
@@ -285,5 +299,6 @@ class ScanScreen(CameraScreen):
         self.send("home")
 
     def action_zero(self) -> None:
-        """Make this position the zero."""
-        self.send("zero")
+        """Ask, then make this position the zero."""
+        lines = ("Make this position the zero?", "The plan and later scans count from here; this cannot be undone.")
+        self.ask(Confirm(lines, "set zero"), lambda _yes: self.send("zero"))

@@ -138,6 +138,33 @@ def test_a_name_is_numbered_on(name, following):
     assert numbered(name) == following
 
 
+def test_bounds_that_one_key_overwrote_come_back_with_undo():
+    async def script(console):
+        await console.connect(replace(IDLE, position_steps=700, position_trusted=True))
+        before = console.app.state.next_scan
+        await console.press("U")
+        assert "undo: nothing to undo" in console.log
+        await console.press("l", "m")
+        assert console.app.state.next_scan.last_steps == 700 and console.app.state.next_scan.mode == "fly"
+        await console.press("U", "U")
+        assert console.app.state.next_scan == before
+
+    play(script)
+
+
+def test_the_zero_is_set_only_after_a_question():
+    async def script(console):
+        await console.connect(replace(IDLE, position_trusted=True))
+        await console.press("z")
+        assert isinstance(console.app.screen, Confirm) and console.sent == []
+        await console.press("n", "z")
+        await console.pilot.pause(0.4)
+        await console.press("y")
+        assert console.sent == [("zero", {})]
+
+    play(script)
+
+
 def test_a_typed_name_replaces_the_default():
     async def script(console):
         await console.connect()
