@@ -42,6 +42,10 @@ class BoardNotFoundError(CalibrationError):
     """No usable pattern in a picture; the text says why."""
 
 
+class LargerBoardError(BoardNotFoundError):
+    """The board in a picture has more squares than the one given."""
+
+
 @dataclass(frozen=True)
 class Board:
     """A calibration board."""
@@ -79,6 +83,8 @@ class Sighting:
     others: Mapping[str, F8] = field(default_factory=dict)
     """The same corners [n, 2] by other estimates: ``sector`` (OpenCV's sector detector, better on small foreshortened
     squares) and ``gradient`` (cornerSubPix)."""
+    estimate: str = "saddle"
+    """What located ``pixels``: saddle, sector, gradient, the mean of two of them, or centre (dots)."""
 
     @property
     def object_mm(self) -> F8:
@@ -96,7 +102,7 @@ def find_board(image: NDArray[np.generic], board: Board) -> Sighting:
     if board.kind == "charuco":
         found = _charuco(grey, board)
     elif board.kind == "dots":
-        found = _dots(grey, board)
+        found = replace(_dots(grey, board), estimate="centre")
     else:
         found = _chessboard(grey, board)
     return _facing_camera(found)
@@ -122,7 +128,7 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Sighting:
     sizes = tuple(sorted(known.any(axis=axis).sum() for axis in (0, 1)))
     wanted = tuple(sorted(board.grid))
     if sizes[0] > wanted[0] or sizes[1] > wanted[1]:
-        raise BoardNotFoundError(
+        raise LargerBoardError(
             f"the board shows at least {sizes[1] + 1} x {sizes[0] + 1} squares, more than the "
             f"{max(board.columns, board.rows)} x {min(board.columns, board.rows)} given: another board, or --squares "
             "(which counts squares, not inner corners)"
@@ -252,7 +258,7 @@ def _sighting(grey: NDArray[np.uint8], grid: F8, board: Board, sector: F8 | None
     if sector is not None:
         others["sector"] = sector[known]
         if not steady.all():
-            return Sighting(sector[known], mm, whole, pitch_px, others)
+            return Sighting(sector[known], mm, whole, pitch_px, others, "sector")
     return Sighting(refined[steady], mm[steady], whole, pitch_px, {name: at[steady] for name, at in others.items()})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.board.detection import Board, BoardNotFoundError, Sighting, find_board
+from process.calibration.board.detection import Board, BoardNotFoundError, LargerBoardError, Sighting, find_board
 from process.calibration.board.poses import PlanePose, find_pose, project
 
 from .bundle import NAMES, CameraFit, as_vector, joint_covariance
+from .plausible import plausibility_notes, refuse_impossible, refuse_smaller_board
 from .selection import MIN_VIEWS, choose_corners, choose_model, harmful_view
 
 F8 = NDArray[np.float64]
@@ -23,6 +24,8 @@ MIN_TILT_SPREAD_DEG = 3.0
 LITTLE_COVERAGE = 0.5
 VOLUME_HALF_HEIGHT_MM = 0.5
 DRAWS = 40
+MOST_CHOICES = 3
+"""How often corners, distortion model and views are chosen anew by what the other choices gave."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,10 @@ class BoardView:
     sighting: Sighting | None
     reason: str = ""
     """Why it was left out; empty if it was used."""
+    larger: bool = False
+    """True if the picture shows a board of more squares than given."""
+    corners: str = ""
+    """Estimate of the corners that was used; empty if the view was left out."""
     rms_px: float = float("nan")
     tilt_deg: float = float("nan")
 
@@ -116,7 +123,13 @@ class CameraResult:
                 "coverage": self.coverage,
                 "predicted_um": {"at_z0": self.predicted_um[0], "at_half_mm": self.predicted_um[1]},
                 "views": [
-                    {"name": v.name, "used": not v.reason, "reason": v.reason, "rms_px": _number(v.rms_px)}
+                    {
+                        "name": v.name,
+                        "used": not v.reason,
+                        "reason": v.reason,
+                        "rms_px": _number(v.rms_px),
+                        "corners": v.corners,
+                    }
                     for v in self.views
                 ],
                 "notes": list(self.notes),
@@ -162,26 +175,90 @@ def calibrate_camera(
         raise CalibrationError(f"the board was found in none of {len(found)} pictures: {found[0].reason}")
     _enough(len(good), found)
     progress(f"fitting the camera to {len(good)} views")
-    sightings, estimate = choose_corners([view.sighting for view in good if view.sighting], size, corners)
-    names, dropped = [view.name for view in good], {}
-    fit, held_out = choose_model(sightings, size)
-    while (harm := harmful_view(sightings, fit, names.index(stage) if stage in names else None)) is not None:
-        index, reason = harm
-        dropped[names[index]] = reason
-        if len(names) - 1 < MIN_VIEWS:
-            raise CalibrationError(f"too few views: without {names[index]} only {len(names) - 1} are left; {reason}")
-        del names[index], sightings[index]
-        fit, held_out = choose_model(sightings, size)
+    _same_board(found, good, size, board)
+    solved = _solve(good, size, corners, stage)
+    fit, held_out, sightings, estimate = solved.fit, solved.held_out_px, solved.sightings, solved.estimate
+    names = solved.names
     _not_parallel(fit)
-    views = [_account(view, names, dropped, fit) for view in found]
+    refuse_impossible(fit, size)
+    views = [_account(view, solved) for view in found]
     pose = None if stage is None else _stage_pose(stage, names, sightings, found, fit)
     coverage = _coverage(sightings, size)
     predicted = _predicted_um(fit, size, sightings[names.index(stage)] if stage in names else sightings[0])
     return CameraResult(
         size, board, fit, tuple(sightings), tuple(views), pose, estimate, held_out, coverage, predicted,
         sightings[names.index(stage)] if stage in names else None,
-        _notes(fit, size, coverage, predicted, sightings, world=stage is not None),
+        (
+            *_corner_notes(views, estimate, corners),
+            *plausibility_notes(fit, size),
+            *_notes(fit, size, coverage, predicted, sightings, world=stage is not None),
+        ),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Solved:
+    fit: CameraFit
+    held_out_px: dict[str, float]
+    sightings: list[Sighting]
+    estimate: str
+    names: list[str]
+    """Names of the views that were used."""
+    dropped: dict[str, str]
+    """Reasons of views that were left out of the fit."""
+
+
+def _solve(good: Sequence[BoardView], size: tuple[int, int], corners: str, stage: str | None) -> _Solved:
+    """The camera from the views that have a board; corners, distortion model and views that are left out settled.
+
+    The estimate of the corners is chosen with the model and the views of the final fit: each choice is made again until
+    it stays.
+    """
+    names, seen, dropped = [v.name for v in good], [v.sighting for v in good if v.sighting is not None], {}
+    model = "k1"
+    for _ in range(MOST_CHOICES):
+        count = len(seen)
+        sightings, estimate = choose_corners(seen, size, corners, model)
+        fit, held_out = choose_model(sightings, size)
+        while (harm := harmful_view(sightings, fit, names.index(stage) if stage in names else None)) is not None:
+            index, reason = harm
+            dropped[names[index]] = reason
+            if len(names) - 1 < MIN_VIEWS:
+                raise CalibrationError(
+                    f"too few views: without {names[index]} only {len(names) - 1} are left; {reason}"
+                )
+            del seen[index], names[index], sightings[index]
+            fit, held_out = choose_model(sightings, size)
+        if corners != "auto" or (fit.model == model and len(seen) == count):
+            break
+        model = fit.model
+    return _Solved(fit, held_out, sightings, estimate, names, dropped)
+
+
+def _same_board(found: Sequence[BoardView], good: Sequence[BoardView], size: tuple[int, int], board: Board) -> None:
+    """Refuse another board than the one given: a larger one in as many pictures as it was found in, or a smaller one.
+
+    Raises:
+        CalibrationError: see above.
+    """
+    sightings = [view.sighting for view in good if view.sighting is not None]
+    larger = [view for view in found if view.larger]
+    if larger and len(larger) >= len(good) and not any(view.whole for view in sightings):
+        raise CalibrationError(f"in {len(larger)} of {len(found)} pictures {larger[0].reason}")
+    refuse_smaller_board(sightings, size, board)
+
+
+def _corner_notes(views: Sequence[BoardView], estimate: str, wanted: str) -> list[str]:
+    """Views whose corners were located otherwise than those of most, or than asked for."""
+    others: dict[str, list[str]] = {}
+    for view in views:
+        if view.corners and view.corners != (estimate if wanted == "auto" else wanted):
+            others.setdefault(view.corners, []).append(view.name)
+    return [
+        f"corners by the {name} estimate in {len(names)} views, which have no other (a part of the board, or dots): "
+        + ", ".join(names)
+        for name, names in others.items()
+    ]
 
 
 def _common_size(pictures: Sequence[tuple[str, NDArray[np.generic]]]) -> tuple[int, int]:
@@ -201,7 +278,7 @@ def _view(name: str, pixels: NDArray[np.generic], board: Board) -> BoardView:
     try:
         return BoardView(name, find_board(pixels, board))
     except BoardNotFoundError as error:
-        return BoardView(name, None, str(error))
+        return BoardView(name, None, str(error), isinstance(error, LargerBoardError))
 
 
 def _enough(count: int, found: Sequence[BoardView]) -> None:
@@ -221,13 +298,15 @@ def _not_parallel(fit: CameraFit) -> None:
         )
 
 
-def _account(view: BoardView, names: Sequence[str], dropped: dict[str, str], fit: CameraFit) -> BoardView:
-    if view.name not in names:
-        return BoardView(view.name, view.sighting, dropped.get(view.name, view.reason))
-    index = names.index(view.name)
+def _account(view: BoardView, solved: _Solved) -> BoardView:
+    if view.name not in solved.names:
+        return replace(view, reason=solved.dropped.get(view.name, view.reason))
+    index, fit = solved.names.index(view.name), solved.fit
     normal = np.asarray(cv2.Rodrigues(fit.poses[index][:3])[0])[:, 2]
     tilt = float(np.degrees(np.arccos(min(abs(float(normal[2])), 1.0))))
-    return BoardView(view.name, view.sighting, "", fit.view_rms_px[index], tilt)
+    return replace(
+        view, corners=solved.sightings[index].estimate, rms_px=fit.view_rms_px[index], tilt_deg=tilt, reason=""
+    )
 
 
 def _stage_pose(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -86,35 +87,56 @@ def held_out(views: Sequence[Sighting], size: tuple[int, int], fit: CameraFit) -
 
 
 def choose_corners(
-    views: Sequence[Sighting], size: tuple[int, int], wanted: str = "auto"
+    views: Sequence[Sighting], size: tuple[int, int], wanted: str = "auto", model: str = "k1"
 ) -> tuple[list[Sighting], str]:
-    """The views with one estimate of their corners, and its name.
+    """The views with one estimate of their corners, and the estimate that most of them have.
 
-    ``auto`` takes the estimate that fits one camera best, or its mean with the second best, weighted by the inverse
-    variances, if both are comparable and the mean fits better: their errors are partly independent. A view without an
-    estimate keeps its own corners.
+    ``auto`` takes the estimate that fits one camera with the distortion ``model`` best, or its mean with the second
+    best, weighted by the inverse variances, if both are comparable and the mean fits better: their errors are partly
+    independent. A view without an estimate keeps its own corners; its ``estimate`` says so.
     """
     if wanted != "auto":
-        return _with_corners(views, wanted), wanted
-    names = ["saddle", *(name for name in ("sector", "gradient") if any(name in view.others for view in views))]
-    by_name = {name: _with_corners(views, name) for name in names}
-    rms = {name: fit_camera(chosen, size, "k1").rms_px for name, chosen in by_name.items()}
-    best, *others = sorted(names, key=rms.__getitem__)
+        chosen = _with_corners(views, wanted)
+        return chosen, _usual(chosen)
+    own = _usual(views)
+    names = [own, *(name for name in ("sector", "gradient") if any(name in view.others for view in views))]
+    by_name = {name: _with_corners(views, name) for name in dict.fromkeys(names)}
+    rms = {name: _rms_px(chosen, size, model) for name, chosen in by_name.items()}
+    best, *others = sorted(by_name, key=rms.__getitem__)
     if not others or rms[others[0]] > COMPARABLE * rms[best]:
         return by_name[best], best
     second = others[0]
     share = rms[second] ** 2 / (rms[best] ** 2 + rms[second] ** 2)
-    blend = [
-        replace(one, pixels=share * one.pixels + (1 - share) * two.pixels)
-        for one, two in zip(by_name[best], by_name[second], strict=True)
-    ]
-    if fit_camera(blend, size, "k1").rms_px < rms[best]:
+    blend = [_mean(one, two, share) for one, two in zip(by_name[best], by_name[second], strict=True)]
+    if _rms_px(blend, size, model) < rms[best]:
         return blend, f"{best} + {second}"
     return by_name[best], best
 
 
+def _rms_px(views: Sequence[Sighting], size: tuple[int, int], model: str) -> float:
+    first = fit_camera(views, size, "k1")
+    return first.rms_px if model == "k1" else fit_camera(views, size, model, start=first).rms_px
+
+
+def _usual(views: Sequence[Sighting]) -> str:
+    return Counter(view.estimate for view in views).most_common(1)[0][0]
+
+
+def _mean(one: Sighting, two: Sighting, share: float) -> Sighting:
+    """The view with ``share`` of the corners of ``one`` and the rest of ``two``."""
+    if one.estimate == two.estimate:
+        return one
+    pixels = share * one.pixels + (1 - share) * two.pixels
+    return replace(one, pixels=pixels, estimate=f"{one.estimate} + {two.estimate}")
+
+
 def _with_corners(views: Sequence[Sighting], name: str) -> list[Sighting]:
-    return [replace(view, pixels=view.others.get(name, view.pixels), others={}) for view in views]
+    return [
+        replace(view, pixels=view.others[name], others={}, estimate=name)
+        if name in view.others
+        else replace(view, others={})
+        for view in views
+    ]
 
 
 def harmful_view(views: Sequence[Sighting], fit: CameraFit, keep: int | None) -> tuple[int, str] | None:
