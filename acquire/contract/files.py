@@ -24,6 +24,16 @@ def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
         OSError: the file is not there or cannot be read.
         ValueError: no file or pipe, larger than ``max_bytes``, or not UTF-8; the text says which.
     """
+    return decode_text(read_bytes(path, max_bytes))
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """The content of a small file; never waits for ever, nor reads a device.
+
+    Raises:
+        OSError: the file is not there or cannot be read.
+        ValueError: no file or pipe, or larger than ``max_bytes``; the text says which.
+    """
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # opening a pipe does not wait for its writer
     try:
         _check_kind(fd, max_bytes)
@@ -34,7 +44,7 @@ def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
         os.close(fd)
     if len(content) > max_bytes:
         raise ValueError(_TOO_LARGE.format(max_bytes))
-    return decode_text(content)
+    return content
 
 
 def decode_text(content: bytes) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
+from acquire.contract.files import read_bytes
 from process.calibration.quarter_circle.optics import Slide, plane_normal
 
 F8 = NDArray[np.float64]
@@ -169,9 +170,9 @@ def _on_stage(original: OriginalCalibration, pixels: F8) -> F8:
 
 def _text(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise CalibrationError(f"{path} is over {MAX_FILE_BYTES} bytes: it is no file of the original program")
-        return path.read_text(encoding="latin-1")
+        return read_bytes(path, MAX_FILE_BYTES).decode("latin-1")
+    except ValueError as error:
+        raise CalibrationError(f"{path} is no file of the original program: {error}") from None
     except OSError as error:
         raise CalibrationError(f"cannot read {path}: {error.strerror}") from None
 

@@ -13,7 +13,9 @@ from tui.cli import cli
 
 STREAMS = ("pipe", "pipe", "pipe", "pipe", "terminal", "dumb", "closed", "full", "reader gone")
 ENCODINGS = ("utf-8", "utf-8", "iso8859-1", "ascii", "cp1252", "koi8-r")
-SERVICES = frozenset({"daemon", "writer", "worker", "viewer", "up", "demo", "console", "gateway", "watch"})
+SERVICES = frozenset(
+    {"daemon", "writer", "worker", "viewer", "up", "demo", "console", "gateway", "watch", "-f", "--follow"}
+)
 """Commands that run until they are told to end."""
 CHANGES_MACHINE = frozenset({"install", "uninstall"})
 """Run with --dry-run only."""
