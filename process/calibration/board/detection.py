@@ -6,8 +6,9 @@ so that the board's z points at the camera. Accuracy of the corners: docs/accura
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
 from typing import Literal
 
 import cv2
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
 
+from .charuco import find_corners, possible_layouts, refusal
 from .grid_growth import best_block, grow
 from .pyramid import Level, in_full, levels, refined_in_full
 from .saddles import refine_saddles, saddle_blocks
@@ -32,7 +34,8 @@ SADDLE_SHARE = 0.5
 """Least share of saddles in a border row that makes the grid larger than the board given."""
 CHARUCO_WINDOW_SHARE = 0.4
 """Share of the window for a chessboard's corner: the markers begin an eighth of a square away."""
-SHARPENED_SCALE = 3
+MOST_SETTLING = 6
+"""Most pictures in which the dictionary of a board is searched."""
 SMALL_GRID = 200
 """Corners up to which OpenCV's exhaustive search is quick enough; larger grids are grown."""
 _SECTOR = cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_EXHAUSTIVE
@@ -56,6 +59,10 @@ class Board:
     pitch_mm: float
     """Side of a square, or distance of two dots, in mm."""
     kind: Literal["chessboard", "charuco", "dots"] = "chessboard"
+    dictionary: str = ""
+    """ChArUco: dictionary of the markers (``charuco.DICTIONARIES``); empty: found by trying."""
+    legacy_layout: bool | None = None
+    """ChArUco: True for the layout before OpenCV 4.6; None: found by trying."""
 
     @property
     def grid(self) -> tuple[int, int]:
@@ -66,6 +73,10 @@ class Board:
     def size_mm(self) -> tuple[float, float]:
         """Extent of the found points in mm."""
         return (self.grid[0] - 1) * self.pitch_mm, (self.grid[1] - 1) * self.pitch_mm
+
+    def facts(self) -> dict[str, object]:
+        """The board as it is recorded beside a calibration; of the markers what is known."""
+        return {name: value for name, value in asdict(self).items() if value not in ("", None)}
 
 
 @dataclass(frozen=True)
@@ -280,53 +291,38 @@ def grid_pitch_px(grid: F8) -> float:
 
 
 def _charuco(grey: NDArray[np.uint8], board: Board) -> Sighting:
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
-    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, 0.75 * board.pitch_mm, dictionary)
-    detector = cv2.aruco.CharucoDetector(pattern)
-    pixels, index = _charuco_corners(detector, grey)
-    if len(index) < MIN_CORNERS:
-        if len(_charuco_corners(detector, np.ascontiguousarray(grey[:, ::-1]))[1]) >= MIN_CORNERS:
-            raise BoardNotFoundError(
-                "the markers are mirrored: the board lies upside down, or the camera's picture is mirrored"
-            )
-        raise BoardNotFoundError(
-            f"only {len(index)} ChArUco corners were found, {MIN_CORNERS} are needed: too blurred, too little of the "
-            "board in the field, or another board?"
-        )
-    pitch_px = _charuco_pitch_px(pixels, index, board)
-    refined = refine_saddles(grey, pixels, CHARUCO_WINDOW_SHARE * pitch_px)
-    pixels = np.where(np.isfinite(refined), refined, pixels)
-    column, row = index % board.grid[0], index // board.grid[0]
-    middle = (np.array(board.grid) - 1) / 2
-    mm = (np.column_stack([column, row]) - middle) * board.pitch_mm
+    layouts = possible_layouts(board.columns, board.rows, board.dictionary, board.legacy_layout)
+    found = find_corners(grey, layouts, MIN_CORNERS)
+    if len(found.number) < MIN_CORNERS:
+        raise BoardNotFoundError(refusal(grey, layouts, found, MIN_CORNERS))
+    index, layout = found.number, found.layout
+    grid = (layout.columns - 1, layout.rows - 1)
+    place = np.column_stack([index % grid[0], index // grid[0]])
+    pitch_px = _charuco_pitch_px(found.pixels, place)
+    refined = refine_saddles(grey, found.pixels, CHARUCO_WINDOW_SHARE * pitch_px)
+    pixels = np.where(np.isfinite(refined), refined, found.pixels)
+    mm = (place - (np.array(grid) - 1) / 2) * board.pitch_mm
     # the origin is the middle of the board whichever part of it is seen: the markers number the corners
     return Sighting(pixels, mm, True, pitch_px)
 
 
-def _charuco_corners(detector: cv2.aruco.CharucoDetector, grey: NDArray[np.uint8]) -> tuple[F8, NDArray[np.intp]]:
-    """Corners [n, 2] and their numbers [n]; where few are found, again in an enlarged and sharpened picture."""
-    best: tuple[F8, NDArray[np.intp]] = (np.empty((0, 2)), np.empty(0, np.intp))
-    for scale in (1, SHARPENED_SCALE):
-        picture = grey if scale == 1 else _sharpened(grey, scale)
-        corners, ids = detector.detectBoard(picture)[:2]
-        if ids is not None and len(ids) > len(best[1]):
-            pixels = (np.asarray(corners, dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
-            best = pixels, np.asarray(ids).ravel().astype(np.intp)
-        if len(best[1]) >= 2 * MIN_CORNERS:
-            break
-    return best
+def settled(board: Board, pictures: Iterable[NDArray[np.generic]]) -> Board:
+    """The board with the dictionary and the layout of its markers, as the first of some pictures that shows it says.
+
+    Unchanged where there is nothing to find, or no picture shows enough of it.
+    """
+    if board.kind != "charuco" or (board.dictionary and board.legacy_layout is not None):
+        return board
+    layouts = possible_layouts(board.columns, board.rows, board.dictionary, board.legacy_layout)
+    for picture in islice(pictures, MOST_SETTLING):
+        found = find_corners(_grey8(picture), layouts, MIN_CORNERS)
+        if len(found.number) >= MIN_CORNERS:
+            return replace(board, dictionary=found.layout.dictionary, legacy_layout=found.layout.legacy)
+    return board
 
 
-def _sharpened(grey: NDArray[np.uint8], scale: int) -> NDArray[np.uint8]:
-    large = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    return np.asarray(
-        cv2.addWeighted(large, 2.5, cv2.GaussianBlur(large, (0, 0), 2.0 * scale), -1.5, 0), dtype=np.uint8
-    )
-
-
-def _charuco_pitch_px(pixels: F8, index: NDArray[np.intp], board: Board) -> float:
+def _charuco_pitch_px(pixels: F8, place: NDArray[np.intp]) -> float:
     """Median distance of corners that are neighbours on the board; of nearest corners where none are."""
-    place = np.column_stack([index % board.grid[0], index // board.grid[0]])
     apart = np.abs(place[:, None] - place[None]).sum(axis=2) == 1
     distance = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)
     return float(np.median(distance[apart])) if apart.any() else float(np.median(_nearest(pixels)))

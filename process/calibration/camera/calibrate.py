@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquire.contract.errors import CalibrationError
-from process.calibration.board.detection import Board, BoardNotFoundError, LargerBoardError, Sighting, find_board
+from process.calibration.board.detection import (
+    Board,
+    BoardNotFoundError,
+    LargerBoardError,
+    Sighting,
+    find_board,
+    settled,
+)
 from process.calibration.board.poses import PlanePose, find_pose, project
 
 from .bundle import NAMES, CameraFit, as_vector, joint_covariance
@@ -98,6 +105,9 @@ class CameraResult:
             + ", ".join(f"{model} {error:.4f}" for model, error in self.held_out_px.items())
             + " px)",
         ]
+        if self.board.dictionary:
+            old = ", layout before OpenCV 4.6" if self.board.legacy_layout else ""
+            lines.append(f"markers of {self.board.dictionary}{old}")
         if self.stage is None:
             lines.append("note: no --stage view: the world is the camera's own frame")
         return lines + [f"note: {note}" for note in self.notes]
@@ -120,6 +130,7 @@ class CameraResult:
                 "model": self.fit.model,
                 "held_out_px": self.held_out_px,
                 "corner_estimate": self.corner_estimate,
+                "board": self.board.facts(),
                 "coverage": self.coverage,
                 "predicted_um": {"at_z0": self.predicted_um[0], "at_half_mm": self.predicted_um[1]},
                 "views": [
@@ -164,6 +175,7 @@ def calibrate_camera(
     size = _common_size(pictures)
     if stage is not None and stage not in [name for name, _ in pictures]:
         raise CalibrationError(f"the stage view {stage} is not among the pictures: name one of them")
+    board = settled(board, (pixels for _, pixels in pictures))
     found = []
     for index, (name, pixels) in enumerate(pictures):
         found.append(_view(name, pixels, board))

@@ -133,10 +133,15 @@ def dots(board: Board) -> Callable[[np.ndarray], np.ndarray]:
     return albedo
 
 
-def charuco(board: Board) -> Callable[[np.ndarray], np.ndarray]:
+def charuco(
+    board: Board, dictionary: int = cv2.aruco.DICT_4X4_1000, *, legacy: bool = False, marker_share: float = 0.75
+) -> Callable[[np.ndarray], np.ndarray]:
     """OpenCV's ChArUco board, its y axis up."""
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
-    pattern = cv2.aruco.CharucoBoard((board.columns, board.rows), board.pitch_mm, 0.75 * board.pitch_mm, dictionary)
+    markers = cv2.aruco.getPredefinedDictionary(dictionary)
+    pattern = cv2.aruco.CharucoBoard(
+        (board.columns, board.rows), board.pitch_mm, marker_share * board.pitch_mm, markers
+    )
+    pattern.setLegacyPattern(legacy)
     per_square = 64
     drawn = pattern.generateImage((board.columns * per_square, board.rows * per_square), marginSize=0)
 

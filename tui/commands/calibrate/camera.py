@@ -98,6 +98,8 @@ def camera(
     squares: tuple[int, int],
     square_mm: float,
     kind: str,
+    dictionary: str,
+    legacy_layout: bool | None,
     corners: str,
     stage: str | None,
     out: Path,
@@ -116,7 +118,7 @@ def camera(
     views = read_pictures(images)
     for odd in views.left_out:
         click.echo(f"left out: {told([odd])}", err=True)
-    board = board_of(squares, square_mm, kind)
+    board = board_of(squares, square_mm, kind, dictionary, legacy_layout)
     result = calibrate_camera(views.pictures, board, name, corners, SlowProgress())
     document, lines = new_document(result.document()), result.lines()
     page = ("camera", camera_page(result, lines))

@@ -21,6 +21,18 @@ camera_option = click.option(
     "--camera", "camera_file", required=True, type=PATH, help="Calibration file with the camera."
 )
 out_option = click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+
+
+def dictionary_callback(_context: click.Context, _parameter: click.Parameter, value: str | None) -> str:
+    """Click callback of ``--dictionary``; empty without a value."""
+    from process.calibration.board.charuco import dictionary_named
+
+    try:
+        return dictionary_named(value) if value else ""
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
 views_options = options(
     click.option(
         "--squares", required=True, metavar="CxR", callback=size_callback, help="Squares (or dots) of the board."
@@ -29,21 +41,41 @@ views_options = options(
     click.option(
         "--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True
     ),
+    click.option(
+        "--dictionary",
+        metavar="NAME",
+        callback=dictionary_callback,
+        help="ChArUco: dictionary of the markers, such as DICT_5X5_250 [found by trying].",
+    ),
+    click.option(
+        "--legacy-layout/--new-layout",
+        "legacy_layout",
+        default=None,
+        help="ChArUco: layout before OpenCV 4.6, or since [found by trying].",
+    ),
 )
 """The board in pictures of the camera."""
 
 
-def board_of(squares: tuple[int, int], pitch_mm: float, kind: str = "chessboard") -> Board:
-    """The board that --squares, --square-mm and --kind describe.
+def board_of(
+    squares: tuple[int, int],
+    pitch_mm: float,
+    kind: str = "chessboard",
+    dictionary: str = "",
+    legacy_layout: bool | None = None,
+) -> Board:
+    """The board that --squares, --square-mm, --kind, --dictionary and --legacy-layout describe.
 
     Raises:
-        CalibrationError: too few squares, or no size.
+        CalibrationError: too few squares, no size, or markers of a board that has none.
     """
     from process.calibration.board.detection import Board
 
     if min(squares) < 3 or pitch_mm <= 0:
         raise CalibrationError("a board has at least 3 x 3 squares of a positive size: see --squares, --square-mm")
-    return Board(max(squares), min(squares), pitch_mm, kind)  # type: ignore[arg-type]
+    if kind != "charuco" and (dictionary or legacy_layout is not None):
+        raise CalibrationError(f"a {kind} has no markers: --dictionary and the layouts belong to --kind charuco")
+    return Board(max(squares), min(squares), pitch_mm, kind, dictionary, legacy_layout)  # type: ignore[arg-type]
 
 
 def save(

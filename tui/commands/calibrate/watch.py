@@ -30,6 +30,8 @@ def watch(
     squares: tuple[int, int],
     square_mm: float,
     kind: str,
+    dictionary: str,
+    legacy_layout: bool | None,
     views: Path | None,
     once: bool,
     as_json: bool,
@@ -41,14 +43,14 @@ def watch(
     import os
 
     os.nice(5)
-    board = board_of(squares, square_mm, kind)
+    board = board_of(squares, square_mm, kind, dictionary, legacy_layout)
     collected = CapturedViews(board, views)
     say = print_json if as_json else _say_words
     if once:
         collected.look()
         say(collected.facts(None))
         return
-    _watch(session, board, collected, say)
+    _watch(session, collected, say)
 
 
 class CapturedViews:
@@ -83,7 +85,14 @@ class CapturedViews:
             pixels = read_grey(path)
         except PictureError as error:
             return ViewFacts(readable(path.name), found=False, reason=f"it {error.why}")
-        return assess_view(readable(path.name), pixels, self._board)
+        return assess_view(readable(path.name), pixels, self.settled(pixels))
+
+    def settled(self, pixels: Any) -> Board:
+        """The board, with the dictionary of its markers as soon as a picture has shown it."""
+        from process.calibration.board.detection import settled
+
+        self._board = settled(self._board, [pixels])
+        return self._board
 
     def facts(self, live: ViewFacts | None) -> dict[str, Any]:
         """All facts that the console shows."""
@@ -106,7 +115,7 @@ class CapturedViews:
         }
 
 
-def _watch(session: Session, board: Board, collected: CapturedViews, say: Any) -> None:
+def _watch(session: Session, collected: CapturedViews, say: Any) -> None:
     import time
 
     import zmq
@@ -128,7 +137,8 @@ def _watch(session: Session, board: Board, collected: CapturedViews, say: Any) -
                 pass
             live = None
             if newest is not None and isinstance(newest.message, Picture):
-                live = assess_view("live", picture_pixels(newest.message, newest.buffer), board)
+                pixels = picture_pixels(newest.message, newest.buffer)
+                live = assess_view("live", pixels, collected.settled(pixels))
             if live is not None or changed:
                 say(collected.facts(live))
             time.sleep(PAUSE_S)
