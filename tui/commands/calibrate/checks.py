@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.shared import board_of
-from tui.commands.context import PATH, Session, force_option, json_option, print_json, size_callback
+from tui.commands.calibrate.shared import LENGTH_MM, board_of, squares_callback
+from tui.commands.context import PATH, Number, Session, force_option, json_option, print_json
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration, TranslatingPlane
@@ -49,12 +49,14 @@ def _folded(scan: Path, calibration_file: Path) -> tuple[FoldedSweep, Calibratio
 @click.command()
 @click.argument("scan", type=PATH)
 @click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to check.")
-@click.option("--squares", metavar="CxR", callback=size_callback, help="Squares of the board in SCAN; without: a flat.")
-@click.option("--square-mm", type=float, help="Side of a square in mm.")
+@click.option(
+    "--squares", metavar="CxR", callback=squares_callback, help="Squares of the board in SCAN; without: a flat."
+)
+@click.option("--square-mm", type=LENGTH_MM, help="Side of a square in mm.")
 @click.option("--again", type=PATH, help="A second sweep over the same object: repeatability.")
-@click.option("--sphere-mm", type=float, multiple=True, help="Diameter of a sphere in SCAN; once or twice.")
-@click.option("--spacing-mm", type=float, help="Known distance of two spheres.")
-@click.option("--limit-um", type=float, help="Limit of all figures in um, instead of rig.toml's [check].")
+@click.option("--sphere-mm", type=LENGTH_MM, multiple=True, help="Diameter of a sphere in SCAN; once or twice.")
+@click.option("--spacing-mm", type=LENGTH_MM, help="Known distance of two spheres.")
+@click.option("--limit-um", type=Number(1e-3, 1e6), help="Limit of all figures in um, instead of rig.toml's [check].")
 @json_option
 @click.pass_obj
 def check(
@@ -132,8 +134,10 @@ def _repeated(scan: Path, again: Path, calibration_file: Path) -> Repeatability:
 @click.command()
 @click.argument("scan", type=PATH)
 @click.option("--calibration", "calibration_file", required=True, type=PATH, help="The calibration to shift.")
-@click.option("--squares", required=True, metavar="CxR", callback=size_callback, help="Squares of the board in SCAN.")
-@click.option("--square-mm", required=True, type=float, help="Side of a square in mm.")
+@click.option(
+    "--squares", required=True, metavar="CxR", callback=squares_callback, help="Squares of the board in SCAN."
+)
+@click.option("--square-mm", required=True, type=LENGTH_MM, help="Side of a square in mm.")
 @click.option("--out", required=True, type=PATH, help="File for the shifted calibration.")
 @force_option
 @json_option

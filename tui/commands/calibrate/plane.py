@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.shared import METHOD, board_of, camera_option, edge_option, method_option, out_option, save
-from tui.commands.context import PATH, force_option, json_option, size_callback
+from tui.commands.calibrate.shared import (
+    LENGTH_MM,
+    METHOD,
+    board_of,
+    camera_option,
+    edge_option,
+    method_option,
+    out_option,
+    save,
+    squares_callback,
+)
+from tui.commands.context import PATH, Number, force_option, json_option
 
 if TYPE_CHECKING:
     pass
@@ -19,13 +29,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("scans", nargs=-1, type=PATH)
 @camera_option
-@click.option("--squares", metavar="CxR", callback=size_callback, help="Squares of the board in SCANS.")
-@click.option("--square-mm", type=float, help="Side of a square in mm.")
+@click.option("--squares", metavar="CxR", callback=squares_callback, help="Squares of the board in SCANS.")
+@click.option("--square-mm", type=LENGTH_MM, help="Side of a square in mm.")
 @click.option("--flat", multiple=True, type=PATH, help="Sweep over a matt white flat of any height; may be repeated.")
 @method_option
 @edge_option
 @click.option("--contrast", type=click.IntRange(0, 255), help="Least brightness range used, counts of 8 bit [70].")
-@click.option("--days", type=float, default=30.0, show_default=True, help="Validity of the calibration.")
+@click.option("--days", type=Number(0.01, 36500), default=30.0, show_default=True, help="Validity of the calibration.")
 @out_option
 @force_option
 @json_option

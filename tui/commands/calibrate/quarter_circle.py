@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.calibrate.shared import camera_option, out_option, save
-from tui.commands.context import PATH, force_option, json_option
+from tui.commands.calibrate.shared import LENGTH_MM, camera_option, out_option, save
+from tui.commands.context import PATH, Number, force_option, json_option
 
 if TYPE_CHECKING:
     from acquire.contract.calibration import Calibration
@@ -24,12 +24,20 @@ DAYS = 30.0
 @click.command("quarter-circle")
 @click.argument("scan", type=PATH)
 @camera_option
-@click.option("--height-mm", type=float, default=0.0, show_default=True, help="Height of the white flat above z = 0.")
+@click.option(
+    "--height-mm",
+    type=Number(-1000, 1000),
+    default=0.0,
+    show_default=True,
+    help="Height of the white flat above z = 0.",
+)
 @click.option("--points", type=PATH, help="Clicked points instead, JSON or CSV: point,frame,x,y.")
 @click.option("--compare", type=PATH, help="Calibration to compare the light plane with [the camera's file].")
-@click.option("--hs-mm", type=float, default=3.81, show_default=True, help="Radius of the slide's quarter circle.")
-@click.option("--focal-mm", type=float, default=50.0, show_default=True, help="Focal length f of the projector's lens.")
-@click.option("--xb-mm", type=float, default=102.32, show_default=True, help="Distance xb of slide and lens.")
+@click.option("--hs-mm", type=LENGTH_MM, default=3.81, show_default=True, help="Radius of the slide's quarter circle.")
+@click.option(
+    "--focal-mm", type=LENGTH_MM, default=50.0, show_default=True, help="Focal length f of the projector's lens."
+)
+@click.option("--xb-mm", type=LENGTH_MM, default=102.32, show_default=True, help="Distance xb of slide and lens.")
 @out_option
 @force_option
 @json_option

@@ -9,10 +9,12 @@ from typing import Any
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.context import PATH, Session, json_option, print_json
+from tui.commands.context import PATH, Number, Session, json_option, print_json
 
 TABLE = "exposures.csv"
 _IN_NAME = re.compile(r"(\d+(?:[.,]\d+)?)\s*ms", re.IGNORECASE)
+MOST_MS = 60_000.0
+"""Longest exposure."""
 DEFAULT_SHARES = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 """Of the configured exposure, with --rig."""
 
@@ -21,7 +23,9 @@ DEFAULT_SHARES = (0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0)
 @click.argument("folder", type=PATH, required=False)
 @click.option("--rig", "from_rig", is_flag=True, help="Take the series with the rig's camera (the daemon stopped).")
 @click.option("--exposures", metavar="MS,MS,...", help="With --rig: in ms [10 to 100 % of camera.exposure_ms].")
-@click.option("--width-um", type=float, default=38.1, show_default=True, help="Width of a light edge, um of travel.")
+@click.option(
+    "--width-um", type=Number(1e-3, 1e6), default=38.1, show_default=True, help="Width of a light edge, um of travel."
+)
 @json_option
 @click.pass_obj
 def response(
@@ -53,7 +57,7 @@ def _from_folder(folder: Path) -> tuple[list[tuple[float, Any]], int]:
     for path in listing.paths:
         match = _IN_NAME.search(path.name)
         exposure_ms = table.get(path.name, float(match.group(1).replace(",", ".")) if match else 0.0)
-        if exposure_ms <= 0:
+        if not 0 < exposure_ms <= MOST_MS:
             odd.append((path.name, f"has no exposure in its name (such as 12.5ms) nor in {TABLE}"))
             continue
         try:
@@ -94,8 +98,12 @@ def _from_rig(session: Session, exposures: str | None) -> tuple[list[tuple[float
     config = session.config().rig
     try:
         wished = [float(part) for part in exposures.split(",")] if exposures else None
+        if wished and not all(0 < exposure_ms <= MOST_MS for exposure_ms in wished):
+            raise ValueError
     except ValueError:
-        raise click.BadParameter(f"exposures are numbers of ms with commas; they are {exposures!r}") from None
+        raise click.BadParameter(
+            f"exposures are positive numbers of ms, at most {MOST_MS:.0f}, with commas; they are {exposures!r}"
+        ) from None
     chosen = wished or [share * config.camera.exposure_ms for share in DEFAULT_SHARES]
     taken = take_exposures(build_rig(config).camera, config, chosen)
     depth = config.simulation.bit_depth if config.camera.kind == "simulated" else 8 * taken[0].pixels.dtype.itemsize

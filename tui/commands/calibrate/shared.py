@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from acquire.contract.errors import CalibrationError
-from tui.commands.context import PATH, options, print_json, size_callback
+from tui.commands.context import PATH, Number, options, print_json
 
 if TYPE_CHECKING:
     from process.calibration.board.detection import Board
 
+LENGTH_MM = Number(1e-4, 1e4)
+"""Sizes of boards and lenses in mm, from a tenth of a micrometre to ten metres."""
 METHOD = click.Choice(["linear", "probit", "fit", "auto"])
 method_option = click.option("--method", type=METHOD, default="auto", show_default=True, help="Crossing estimate.")
 edge_option = click.option("--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True)
@@ -21,6 +23,16 @@ camera_option = click.option(
     "--camera", "camera_file", required=True, type=PATH, help="Calibration file with the camera."
 )
 out_option = click.option("--out", type=PATH, default=Path("calibration.json"), show_default=True)
+
+
+def squares_callback(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    """Click callback of ``--squares``: squares along both sides; None without a value."""
+    from tui.text.sizes import parse_squares
+
+    try:
+        return None if value is None else parse_squares(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def dictionary_callback(_context: click.Context, _parameter: click.Parameter, value: str | None) -> str:
@@ -35,9 +47,15 @@ def dictionary_callback(_context: click.Context, _parameter: click.Parameter, va
 
 views_options = options(
     click.option(
-        "--squares", required=True, metavar="CxR", callback=size_callback, help="Squares (or dots) of the board."
+        "--squares",
+        required=True,
+        metavar="CxR",
+        callback=squares_callback,
+        help="Squares of the board along both sides, not inner corners; of dots the dots.",
     ),
-    click.option("--square-mm", required=True, type=float, help="Side of a square, or distance of two dots, in mm."),
+    click.option(
+        "--square-mm", required=True, type=LENGTH_MM, help="Side of a square, or distance of two dots, in mm."
+    ),
     click.option(
         "--kind", type=click.Choice(["chessboard", "charuco", "dots"]), default="chessboard", show_default=True
     ),

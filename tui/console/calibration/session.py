@@ -13,6 +13,7 @@ from msgspec import Meta
 from acquire.contract.errors import CalibrationError
 from acquire.contract.files import read_text, replace_file
 from tui.scans.json_file import read_object
+from tui.text.sizes import parse_squares
 
 FOLDER_NAME = "calibration"
 BOARD_NAME = "board.json"
@@ -45,18 +46,19 @@ def parse_board(texts: dict[str, str]) -> BoardPattern:
     Raises:
         ValueError: a field is not valid.
     """
-    columns, _, rows = texts["squares"].lower().partition("x")
     try:
+        sides = parse_squares(texts["squares"])
         fields = {
-            "columns": max(int(columns), int(rows)),
-            "rows": min(int(columns), int(rows)),
+            "columns": max(sides),
+            "rows": min(sides),
             "square_mm": float(texts["square_mm"].replace(",", ".")),
             "kind": texts["kind"],
         }
         return msgspec.convert(fields, BoardPattern)
     except (ValueError, msgspec.ValidationError):
         raise ValueError(
-            "give squares as 16x13 (3 to 200 each), a size in mm, and chessboard, charuco or dots"
+            "give squares as 16x13 (3 to 200 each, squares and not inner corners), a size in mm, and chessboard, "
+            "charuco or dots"
         ) from None
 
 
