@@ -53,12 +53,12 @@ class TranslatingPlane(msgspec.Struct, frozen=True, tag_field="kind", tag="trans
 
 
 class PerFramePlanes(msgspec.Struct, frozen=True, tag_field="kind", tag="per-frame"):
-    """One plane n . X = d for each frame, interpolated linearly, for first_frame <= t <= last_frame."""
+    """One plane n . X = d for each frame, interpolated linearly between neighbours, first_frame <= t <= last_frame."""
 
     parameter: Literal["frame"]
     first_frame: Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]
-    planes: Annotated[tuple[tuple[float, float, float, float], ...], Meta(min_length=1, max_length=100_000)]
-    """[nx, ny, nz, d] in mm."""
+    planes: Annotated[tuple[tuple[float, float, float, float] | None, ...], Meta(min_length=1, max_length=100_000)]
+    """[nx, ny, nz, d] in mm; null for a frame without a plane: there is none up to its neighbours either."""
     edge: Literal["rising", "falling"] = "rising"
     method: str = "linear"
 
@@ -162,7 +162,10 @@ def _check_plane(plane: TranslatingPlane | PerFramePlanes | None, name: str) -> 
     if plane is None:
         return
     if isinstance(plane, PerFramePlanes):
-        normals = _finite(plane.planes, name, "light_plane.planes")[:, :3]
+        known = [row for row in plane.planes if row is not None]
+        if not known:
+            raise CalibrationError(f"{name}: light_plane.planes holds no plane")
+        normals = _finite(known, name, "light_plane.planes")[:, :3]
         if (np.linalg.norm(normals, axis=1) < 1e-9).any():
             raise CalibrationError(f"{name}: light_plane.planes holds a plane with a zero normal")
         return

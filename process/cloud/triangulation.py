@@ -26,6 +26,7 @@ LightPlane = TranslatingPlane | PerFramePlanes
 
 PARALLEL_SINE = 1e-9
 """A ray whose angle to the plane has a smaller sine never meets it within numbers that mean anything."""
+_NO_PLANE = (np.nan,) * 4
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
 """At most 50 iterations, until the pixel is met within 1e-9 px; OpenCV's default of 5 leaves strong lenses wrong."""
 
@@ -47,7 +48,7 @@ class PlaneTable(NamedTuple):
     last: float
     """t of the last node; +inf likewise."""
     nodes: F8
-    """[m, 4]; a translating plane has one, its plane at t = 0."""
+    """[m, 4]; a translating plane has one, its plane at t = 0. NaN: a frame without a plane."""
     slope: F8
     """[4], change of the coefficients per unit of t; used by translating planes only."""
 
@@ -95,7 +96,7 @@ def _rays(camera: CameraModel, pixels: F8) -> Rays:
 def plane_table(plane: LightPlane) -> PlaneTable:
     """The plane's coefficients over t, in the unit of its ``parameter``."""
     if isinstance(plane, PerFramePlanes):
-        nodes = np.array(plane.planes, dtype=np.float64)
+        nodes = np.array([_NO_PLANE if row is None else row for row in plane.planes], dtype=np.float64)
         return PlaneTable(float(plane.first_frame), float(plane.last_frame), nodes, np.zeros(4))
     normal = np.array(plane.normal, dtype=np.float64)
     offset = normal @ np.array(plane.corner_origin_mm)
@@ -106,7 +107,8 @@ def plane_table(plane: LightPlane) -> PlaneTable:
 def planes_at(plane: LightPlane, t: F8) -> F8:
     """Coefficients (nx, ny, nz, d) of the light plane at each t [n], shape [n, 4]; NaN where there is none.
 
-    Per-frame planes are interpolated linearly for first_frame <= t <= last_frame, both ends included.
+    Per-frame planes are interpolated linearly for first_frame <= t <= last_frame, both ends included; there is none
+    between a frame with a plane and one without.
     """
     table = plane_table(plane)
     t = np.asarray(t, dtype=np.float64)
@@ -119,6 +121,8 @@ def planes_at(plane: LightPlane, t: F8) -> F8:
     high = np.minimum(low + 1, len(table.nodes) - 1)
     fraction = (at - low)[:, None]
     found: F8 = table.nodes[low] + fraction * (table.nodes[high] - table.nodes[low])
+    # on a node, the other one does not matter
+    found = np.where(fraction == 0, table.nodes[low], np.where(fraction == 1, table.nodes[high], found))
     found[~inside] = np.nan
     return found
 
@@ -181,10 +185,12 @@ def _plane(table, t, plane, change):  # type: ignore[no-untyped-def]
         low = min(int(t - table.first), max(len(table.nodes) - 2, 0))
         high = min(low + 1, len(table.nodes) - 1)
         at = t - table.first - low
+        if at == 0.0 and low > 0 and np.isnan(table.nodes[high, 0]):  # the last plane before a gap
+            low, at, high = low - 1, 1.0, low
     # a translating plane has one node and a slope, per-frame planes have many nodes and no slope: one formula for both
     for part in range(4):
         change[part] = table.slope[part] + table.nodes[high, part] - table.nodes[low, part]
-        plane[part] = table.nodes[low, part] + at * change[part]
+        plane[part] = table.nodes[low, part] + at * change[part] if at != 1.0 else table.nodes[high, part]
 
 
 @kernel

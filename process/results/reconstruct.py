@@ -51,6 +51,11 @@ class Summary:
         """What the user should know."""
         return self.results.report.warnings
 
+    @property
+    def notes(self) -> list[str]:
+        """What is no fault, but worth knowing."""
+        return self.results.report.notes
+
 
 def reconstruct(scan: Path, options: ReconstructOptions, progress: Progress | None = None) -> Summary:
     """Fold SCAN (a folder or its .h5) and write maps.h5, cloud.ply, report.json beside it or into ``options.out``.

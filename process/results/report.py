@@ -31,6 +31,7 @@ from acquire.contract.scan_data.report_file import (
 )
 from acquire.contract.units import UM_PER_MM
 from process.cloud.cloud import PointCloud
+from process.cloud.triangulation import planes_at
 from process.crossings.light_change import light_counts, light_warnings
 from process.crossings.maps import full_scale
 from process.crossings.quality import Quality
@@ -83,12 +84,14 @@ def make_report(
     layout, maps, other_light = frames.layout, refined.maps, frames.other_light()
     noise = None if settings.method == "linear" else noise_found(refined.noise, _full_of(settings, frames))
     calibration = calibration_used(settings, layout.start_time)
+    without_plane = crossings_without_plane(maps.crossing, settings.light_plane)
     return Report(
         counts=frame_counts(frames)
         | {"points": 0 if cloud is None else len(cloud)}
         | {"from_live": folded.from_live, "from_file": folded.from_file, "refolded": folded.refolded}
         | {_COUNT_NAMES.get(name, name): number for name, number in maps.counts.items()}
         | light_counts(other_light)
+        | without_plane
         | more_counts,
         contrast_histogram=contrast_histogram(maps.minimum, maps.maximum, layout.format.bit_depth),
         speed=sweep_speed(layout.plan, settings.light_plane),
@@ -105,6 +108,7 @@ def make_report(
             *light_warnings(other_light, maps.counts),
         ],
         settings={name: getattr(settings, name) for name in ("contrast", "median", "edge", "method", "noise_counts")},
+        notes=plane_notes(without_plane, maps.counts, settings.light_plane),
         versions=versions(layout.program_version),
         noise=noise,
         calibration=calibration,
@@ -212,6 +216,31 @@ def quality_warnings(counts: dict[str, int], noise: NoiseFound | None, *, edge: 
     if noise is not None and not noise.measured and counts["crossings"]:
         warnings.append(f"too few pixels to measure the noise: sigma rests on noise_counts, {noise.read:.2g} counts")
     return warnings
+
+
+def crossings_without_plane(
+    crossing: NDArray[np.float64], plane: TranslatingPlane | PerFramePlanes | None
+) -> dict[str, int]:
+    """How many crossings [h, w] lie where per-frame planes have none: ``without_plane``; nothing for other planes."""
+    if not isinstance(plane, PerFramePlanes):
+        return {}
+    t = crossing[np.isfinite(crossing)] + 1
+    return {"without_plane": int(np.isnan(planes_at(plane, t)[:, 0]).sum())}
+
+
+def plane_notes(
+    without_plane: dict[str, int], counts: dict[str, int], plane: TranslatingPlane | PerFramePlanes | None
+) -> list[str]:
+    """A sentence on crossings that cannot become points for want of a light plane."""
+    lost = without_plane.get("without_plane", 0)
+    if not lost or not isinstance(plane, PerFramePlanes):
+        return []
+    missing = sum(row is None for row in plane.planes)
+    gaps = f", {missing} of these without one" if missing else ""
+    return [
+        f"{lost} crossings ({100 * lost / max(counts['crossings'], 1):.1f} %) have no point: the light planes are "
+        f"those of frames {plane.first_frame} to {plane.last_frame}{gaps}"
+    ]
 
 
 def damage_warnings(damaged: Collection[int]) -> list[str]:

@@ -265,6 +265,20 @@ def progress_printer(with_progress: bool, *, every_s: float = 0.2) -> Callable[[
     return say
 
 
+def progress_words(what: str, *, after_s: float = 2.0) -> Callable[[int, int], None]:
+    """A callback for (done, total) that says on stderr how far ``what`` is, every ``after_s``; not if it is short."""
+    said_s = time.monotonic()
+
+    def say(done: int, total: int) -> None:
+        nonlocal said_s
+        now_s = time.monotonic()
+        if now_s - said_s >= after_s and done < total:
+            said_s = now_s
+            click.echo(f"{what}: {100 * done // max(total, 1)} %", err=True)
+
+    return say
+
+
 def print_json(value: Any) -> None:
     """One JSON object on stdout; structs and dataclasses become objects, NaN becomes null."""
     click.echo(json.dumps(plain(value)))

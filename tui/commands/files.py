@@ -134,6 +134,8 @@ def _show_words(summary: Summary) -> None:
             click.echo(str(path))
     for warning in summary.warnings if not summary.nothing else summary.warnings[1:]:
         click.echo(f"note: {warning}", err=True)
+    for note in summary.notes:
+        click.echo(f"note: {note}", err=True)
 
 
 @click.command()

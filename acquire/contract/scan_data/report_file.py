@@ -98,6 +98,8 @@ class Report(msgspec.Struct, frozen=True, kw_only=True):
     """Over the frames that were folded."""
     sweep: SweepChecks = SweepChecks()
     warnings: list[str] = []
+    notes: list[str] = []
+    """What is no fault, but worth knowing."""
     settings: dict[str, Any] = {}
     versions: dict[str, str] = {}
     truth: TruthErrors | None = None

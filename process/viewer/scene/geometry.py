@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, CameraModel, PerFramePlanes
 from acquire.contract.plan import SweepPlan
+from process.cloud.triangulation import planes_at
 from process.viewer.rig_client.tile import BoundingBox
 
 MAX_FIELD_MM = 10_000.0
@@ -61,10 +62,10 @@ def light_at(
     if isinstance(light, PerFramePlanes):
         if not light.first_frame <= t <= light.last_frame:
             return None
-        table = np.asarray(light.planes)
-        numbers = np.arange(light.first_frame, light.last_frame + 1)
-        nx, ny, nz, d = (float(np.interp(t, numbers, column)) for column in table.T)
-        normal, offset = np.array([nx, ny, nz]), d
+        coefficients = planes_at(light, np.array([t]))[0]
+        if np.isnan(coefficients[0]):
+            return None
+        normal, offset = coefficients[:3], float(coefficients[3])
     else:
         normal = np.asarray(light.normal)
         corner = np.asarray(light.corner_origin_mm) + np.asarray(light.corner_velocity_mm) * t

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -20,7 +19,15 @@ from tui.commands.calibrate.shared import (
     save,
     squares_callback,
 )
-from tui.commands.context import PATH, Number, force_option, json_option
+from tui.commands.context import (
+    PATH,
+    Number,
+    force_option,
+    json_option,
+    progress_option,
+    progress_printer,
+    progress_words,
+)
 
 if TYPE_CHECKING:
     pass
@@ -106,45 +113,53 @@ def refit(calibration: Path, method: str, out: Path, force: bool, as_json: bool)
 @camera_option
 @click.option("--planes", "planes_file", required=True, type=PATH, help="JSON with reference_planes.")
 @method_option
-@edge_option
+@click.option(
+    "--edge", type=click.Choice(["rising", "falling"]), default="rising", show_default=True,
+    help="falling: the front of a shadow; rising: its end, or light that comes.",
+)  # fmt: skip
 @click.option("--contrast", type=click.IntRange(0, 255), default=50, show_default=True)
 @out_option
 @force_option
+@progress_option
 @json_option
 def reference_planes(
     scan: Path,
     camera_file: Path,
     planes_file: Path,
     method: str,
-    edge: str,
+    edge: Literal["rising", "falling"],
     contrast: int,
     out: Path,
     force: bool,
+    with_progress: bool,
     as_json: bool,
 ) -> None:
     """One light plane per frame, from the edge on two known planes (hand-swept rigs).
 
-    The planes' file holds {"reference_planes": {"marker_rectangle_mm": [w, h], NAME: {"marker_corners_px": 4 x [x, y],
-    "image_region_px": [left, right, top, bottom]}, NAME: ...}}."""
-    from acquire.contract.calibration import check_size, load_calibration
-    from process.calibration.calibration_file import read_document
-    from process.calibration.light_plane.sweeps import fold_sweep
-    from process.calibration.light_plane.uncertainty import camera_covariance
-    from process.calibration.reference_planes.calibrate import fit_reference_planes, read_planes
-    from process.calibration.reference_planes.uncertainty import camera_sd
+    \b
+    The planes' file holds two planes by name:
+    {"reference_planes": {"marker_rectangle_mm": [w, h],
+      NAME: {"marker_corners_px": 4 x [x, y],
+             "image_region_px": [left, right, top, bottom]}, NAME: ...}}
 
-    found = load_calibration(camera_file)[0]
-    known = read_planes(planes_file, found.camera)
-    sweep = fold_sweep(scan, method=method, edge=edge, contrast=contrast, clean=False)  # type: ignore[arg-type]
-    check_size(found, sweep.format.width, sweep.format.height)
-    result = fit_reference_planes(sweep.crossing, known, found.camera, edge=edge, method=method)
-    document = read_document(camera_file)
-    covariance = camera_covariance(document)
-    if covariance is not None:
-        spread = camera_sd(
-            sweep.crossing, lambda camera: read_planes(planes_file, camera), found.camera, covariance,
-            edge=edge, method=method, frames=len(result.planes),
-        )  # fmt: skip
-        result = replace(result, camera_sd=spread)
-    document["light_plane"] = result.document()
-    save(out, document, result.lines(), force=force, as_json=as_json)
+    Corners go around the rectangle, either way; the first two span the width w. A plane may have a marker_rectangle_mm
+    of its own. The region shows the edge on this plane, and mostly nothing else. Points are in the world of --camera,
+    where z = 0 is its board plane, or in its own coordinates (z away from it) where it has no board: the planes do not
+    move it. A picture beside the calibration shows corners, regions and lines: look at it."""
+    from process.calibration.calibration_file import read_document
+    from process.calibration.reference_planes.picture import draw, write_picture
+    from process.calibration.reference_planes.recipe import calibrate_sweep
+
+    if out.exists() and not force:
+        raise CalibrationError(f"{out} is there and was left alone: name another file, or replace it with --force")
+    result, edges = calibrate_sweep(
+        scan, camera_file, planes_file, method=method, edge=edge, contrast=contrast,
+        progress=progress_printer(with_progress) if with_progress else progress_words("reading the pictures"),
+    )  # fmt: skip
+    document = read_document(camera_file) | {"light_plane": result.document()}
+    picture = out.with_name("reference-planes.png")
+    image = draw(scan, result.known, edges, [plane.t for plane in result.planes if plane.skew_mm is not None])
+    save(out, document, result.lines(), force=force, as_json=as_json, picture=picture)
+    write_picture(picture, image)
+    if not as_json:
+        click.echo(str(picture))
