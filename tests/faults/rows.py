@@ -214,7 +214,7 @@ def _same_results(folder: Path, rig: Rig) -> None:
     reconstruct(folder, ReconstructOptions(out=again))
     assert (folder / "cloud.ply").read_bytes() == (again / "cloud.ply").read_bytes()
     with h5py.File(folder / "maps.h5") as live, h5py.File(again / "maps.h5") as offline:
-        for name in offline:
+        for name in (name for name in offline if isinstance(offline[name], h5py.Dataset)):
             assert np.array_equal(live[name][()], offline[name][()], equal_nan=live[name].dtype.kind == "f"), name
 
 

@@ -146,7 +146,9 @@ def test_the_truth_file_holds_the_promised_arrays(tmp_path):
     exact = truth(scene_of(), 0, 3, 527)
     write_truth(tmp_path / "truth.h5", exact)
     with h5py.File(tmp_path / "truth.h5") as file:
-        stored = {name: (array.dtype.str, array.shape) for name, array in file.items()}
+        stored = {
+            name: (array.dtype.str, array.shape) for name, array in file.items() if isinstance(array, h5py.Dataset)
+        }
         np.testing.assert_array_equal(file["crossing"], exact.crossing)
     assert stored == {
         "points": ("<f8", (48, 64, 3)),

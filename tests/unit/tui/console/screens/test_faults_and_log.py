@@ -34,7 +34,7 @@ def test_each_fault_shows_what_happened_what_is_safe_what_to_do_and_when():
         detail = console.shown(FaultDetail)
         assert "F11" in detail and "NOT ACKNOWLEDGED" in detail
         await console.press("down")
-        for words in ("F03  the writer is lost", "410 of 527 frames are saved", "it is being restarted", "when"):
+        for words in ("F03 the writer is lost", "410 of 527 frames are saved", "it is being restarted", "when"):
             assert words in console.shown(FaultDetail)
 
     play(script, screen="faults")
