@@ -117,6 +117,14 @@ def _layouts(columns: int, rows: int, dictionaries: Sequence[str], legacy: bool 
     return [layout for layout in found if layout.markers <= marker_count(layout.dictionary)]
 
 
+def printed_board(layout: Layout) -> cv2.aruco.CharucoBoard:
+    """OpenCV's board of squares of size 1."""
+    squares = layout.columns, layout.rows
+    board = cv2.aruco.CharucoBoard(squares, 1.0, MARKER_SHARE, _dictionary(layout.dictionary, layout.markers))
+    board.setLegacyPattern(layout.legacy)
+    return board
+
+
 def find_corners(grey: Grey, layouts: Sequence[Layout], enough: int, *, thorough: bool = True) -> Corners:
     """The corners of the layout that most are found of.
 
@@ -155,11 +163,9 @@ def _each(grey: Grey, layouts: Sequence[Layout]) -> Iterator[Corners]:
         if len(numbers) < 2:
             continue
         for layout in same:
-            pattern = cv2.aruco.CharucoBoard(
-                (layout.columns, layout.rows), 1.0, MARKER_SHARE, _dictionary(name, layout.markers)
-            )
-            pattern.setLegacyPattern(layout.legacy)
-            corners, ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey, None, None, places, numbers)[:2]
+            corners, ids = cv2.aruco.CharucoDetector(printed_board(layout)).detectBoard(
+                grey, None, None, places, numbers
+            )[:2]
             if ids is not None and len(ids):
                 pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
                 yield Corners(pixels, np.asarray(ids).ravel().astype(np.intp), layout)

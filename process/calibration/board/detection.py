@@ -329,8 +329,11 @@ def _charuco_pitch_px(pixels: F8, place: NDArray[np.intp]) -> float:
 
 
 def _dots(grey: NDArray[np.uint8], board: Board) -> Sighting:
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.maxArea = max(parameters.maxArea, grey.size / (2 * board.columns * board.rows))
+    blobs = cv2.SimpleBlobDetector.create(parameters)
     for picture in (grey, np.asarray(255 - grey, dtype=np.uint8)):
-        found, centres = cv2.findCirclesGrid(picture, board.grid, flags=cv2.CALIB_CB_SYMMETRIC_GRID)
+        found, centres = cv2.findCirclesGrid(picture, board.grid, flags=cv2.CALIB_CB_SYMMETRIC_GRID, blobDetector=blobs)
         if found:
             pixels = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
             column, row = np.meshgrid(np.arange(board.grid[0]), np.arange(board.grid[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from .board import board
 from .camera import camera
 from .checks import check, rezero
 from .original import import_original
@@ -32,4 +33,4 @@ for _command in (
 ):
     calibrate.add_command(_command)
 
-COMMANDS: tuple[click.Command, ...] = (calibrate,)
+COMMANDS: tuple[click.Command, ...] = (calibrate, board)
