@@ -98,7 +98,7 @@ def _unexpected(error: Exception) -> int:
         return EXIT_NOT_READ
     if isinstance(error, OSError):
         where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
-        return _complain(f"{where}{_machine_words(error)}: mend that, then try again", EXIT_FAILED)
+        return _complain(f"{where}{_machine_words(error)}: fix that, then try again", EXIT_FAILED)
     if isinstance(error, MemoryError):
         return _complain("this machine has not enough memory for that: end other programs", EXIT_FAILED)
     if isinstance(error, UnicodeEncodeError):

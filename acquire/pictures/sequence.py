@@ -121,7 +121,7 @@ def prove_sequence(
 
 
 def _refuse_unproven(found: Candidate, looks: list[Look], unreadable: list[tuple[str, str]], asked: Asked) -> None:
-    """Raise with all that speaks against a sequence, so that one look at the folder mends it all."""
+    """Raise with all that speaks against a sequence, so that one look at the folder is enough."""
     facts, options = list(found.faults), []
     gaps = list(found.gaps)
     against = "" if asked.as_is else times_against(looks)
@@ -137,7 +137,7 @@ def _refuse_unproven(found: Candidate, looks: list[Look], unreadable: list[tuple
         facts.append("no picture can be read")
     if facts:
         ways = ", or ".join(options)
-        raise UnprovenError(found.place, facts, f"mend it, or {ways}" if ways else "mend it, or take them out")
+        raise UnprovenError(found.place, facts, f"fix it, or {ways}" if ways else "fix it, or take them out")
 
 
 def _doubles_words(inside: dict[int, str]) -> str:

@@ -113,7 +113,7 @@ def _fresh_pair() -> tuple[str, str]:
             return public, secret
 
 
-def load_pair(path: Path, what: str, mend: str) -> KeyPair:
+def load_pair(path: Path, what: str, fix: str) -> KeyPair:
     """Read a pair.
 
     Raises:
@@ -128,9 +128,9 @@ def load_pair(path: Path, what: str, mend: str) -> KeyPair:
             raise ValueError("no pair")  # do not show the line: half of it is secret
         return pair
     except FileNotFoundError:
-        raise ConfigError(f"{what} {path} is not there: {mend}") from None
+        raise ConfigError(f"{what} {path} is not there: {fix}") from None
     except (OSError, ValueError, KeyError, RecursionError) as error:
-        raise ConfigError(f"{what} {path} cannot be used ({type(error).__name__}): {mend}") from None
+        raise ConfigError(f"{what} {path} cannot be used ({type(error).__name__}): {fix}") from None
 
 
 def load_allowed(folder: Path) -> dict[str, Allowed]:
@@ -146,7 +146,7 @@ def load_allowed(folder: Path) -> dict[str, Allowed]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ConfigError(f"{path} cannot be used ({error}): nobody is let in; mend it, or remove it") from None
+        raise ConfigError(f"{path} cannot be used ({error}): nobody is let in; fix it, or remove it") from None
 
 
 def _entry(name: str, fields: object) -> Allowed:

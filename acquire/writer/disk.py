@@ -47,7 +47,7 @@ def disk_error(error: OSError, path: Path, doing: str, needed_bytes: int = 0) ->
             f"cannot {doing} {path}: {limit} ({needed}{free_in_words(path)} free); make room, or {_WAY_OUT}"
         )
     why = error.strerror or error
-    return DiskError(f"cannot {doing} {path}: {why}; mend the folder or its permissions, or {_WAY_OUT}")
+    return DiskError(f"cannot {doing} {path}: {why}; repair the folder or its permissions, or {_WAY_OUT}")
 
 
 def free_bytes(path: Path) -> int | None:

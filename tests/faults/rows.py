@@ -187,7 +187,7 @@ def _small_disk_full(rig: Rig) -> None:
 
 
 def disk_broken(rig: Rig) -> None:
-    """F07: an I/O error holds the sweep until the disk is mended; a file that is gone is said to be gone."""
+    """F07: an I/O error holds the sweep until the disk is repaired; a file that is gone is said to be gone."""
     rig.set(LIMITS__SEAL_S=4.0)
     rig.environ["SWEEPSCOPE_TEST_INJECT"] = "EIO"
     rig.start("daemon", "writer")
@@ -195,7 +195,7 @@ def disk_broken(rig: Rig) -> None:
         scan = rig.begin(client)
         rig.moment(client)
         rig.flag.touch()
-        assert "mend" in rig.told(client, "F07")
+        assert "repair" in rig.told(client, "F07")
         assert_frames(Path(scan["path"]), rig.light)
         rig.flag.unlink()
         complete(rig, client, scan)

@@ -139,7 +139,7 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
             [sys.executable, "-m", "tui.cli", "config"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert done.returncode == 1
-    assert done.stderr == "sweepscope: No space left on device: mend that, then try again\n"
+    assert done.stderr == "sweepscope: No space left on device: fix that, then try again\n"
 
 
 def test_the_console_draws_ascii_where_the_locale_lacks_its_signs(run_dir, monkeypatch):

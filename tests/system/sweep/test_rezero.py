@@ -1,4 +1,4 @@
-"""Homing makes a new zero: scans record which one, a calibration of another one is warned of, and rezero mends it."""
+"""Homing makes a new zero: scans record which one, a calibration of another one is warned of, rezero corrects it."""
 
 from __future__ import annotations
 
