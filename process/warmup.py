@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.scan_data.maps_file import MapsHeader, write_maps
 from process.cloud.cloud import make_cloud
+from process.cloud.light_planes import coordinates, plane_table
 from process.cloud.ply import write_ply
-from process.cloud.triangulation import coordinates, plane_table, rays
+from process.cloud.triangulation import rays
 from process.crossings.maps import Maps, empty_samples
 from process.crossings.two_sample_kernels import sample_columns
 from process.edge_fit.early_estimates import EdgeEstimates, estimate_pixels, follow_pixels

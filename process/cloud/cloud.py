@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from process.crossings.maps import Maps
 from process.crossings.quality import Quality
 
+from .light_planes import PlaneTable
 from .ply import VERTEX, point_records
-from .triangulation import F8, Hits, PlaneTable, Rays, intersect
+from .triangulation import F8, Hits, Rays, intersect
 
 LEFT_OUT = int(Quality.LIT_AT_START | Quality.PLATEAU_NOT_REACHED | Quality.FILTERED)
 """Quality bits that keep a pixel out of the default cloud."""

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from acquire.contract.errors import ScanFileError
 from acquire.contract.messaging.messages import FrameFormat
 from process.cloud.cloud import PointCloud, make_cloud
-from process.cloud.triangulation import coordinates, plane_table, rays
+from process.cloud.light_planes import coordinates, plane_table
+from process.cloud.triangulation import rays
 from process.crossings.light_change import marked
 from process.crossings.maps import Maps, ReadColumns
 from process.edge_fit.early_estimates import EarlyEstimates

@@ -31,7 +31,7 @@ from acquire.contract.scan_data.report_file import (
 )
 from acquire.contract.units import UM_PER_MM
 from process.cloud.cloud import PointCloud
-from process.cloud.triangulation import planes_at
+from process.cloud.light_planes import planes_at
 from process.crossings.light_change import light_counts, light_warnings
 from process.crossings.maps import full_scale
 from process.crossings.quality import Quality

@@ -18,7 +18,8 @@ import numpy as np
 from acquire.contract.calibration import load_calibration
 from acquire.contract.config.simulation import SimulationConfig
 from process.cloud.cloud import LEFT_OUT
-from process.cloud.triangulation import planes_at, rays
+from process.cloud.light_planes import planes_at
+from process.cloud.triangulation import rays
 from process.crossings.quality import Quality
 from tests.fakes.scans.simulated_scans import plan_of, simulate_sweep
 from tui.cli import run

@@ -17,7 +17,8 @@ import numpy as np
 
 from acquire.contract.calibration import load_calibration
 from process.calibration.reference_planes.known_planes import read_planes
-from process.cloud.triangulation import planes_at, rays
+from process.cloud.light_planes import planes_at
+from process.cloud.triangulation import rays
 from tui.cli import run
 
 MIDDLE_MM = np.array([0.0, -20.0, 1650.0])

@@ -60,6 +60,7 @@ class SerialDevice:
     def __init__(self, answer: Answer) -> None:
         self._answer = answer
         self._ending = threading.Event()
+        self._closing = threading.Lock()
 
     def __enter__(self) -> Self:
         self._master, self._slave = os.openpty()
@@ -76,10 +77,11 @@ class SerialDevice:
         """Take the device away; idempotent."""
         self._ending.set()
         self._thread.join(5)
-        for fd in (self._master, self._slave):
-            if fd >= 0:
-                os.close(fd)
-        self._master = self._slave = -1
+        with self._closing:  # a timer may unplug it while the test ends
+            for fd in (self._master, self._slave):
+                if fd >= 0:
+                    os.close(fd)
+            self._master = self._slave = -1
 
     def _serve(self) -> None:
         while not self._ending.is_set():

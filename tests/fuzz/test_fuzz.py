@@ -74,4 +74,4 @@ def test_all_commands_have_parameters_of_known_types() -> None:
     """A new type of parameter gets its own mutations."""
     kinds = {type(parameter.type).__name__ for _, command in commands() for parameter in command.params}
     assert kinds <= {"Choice", "Path", "IntRange", "Number", "FloatRange", "_Text", "StringParamType", "BoolParamType",
-                     "IntParamType", "FloatParamType"}  # fmt: skip
+                     "IntParamType", "FloatParamType", "Position"}  # fmt: skip

@@ -12,7 +12,8 @@ from acquire.contract.errors import CalibrationError
 from process.calibration.light_plane import robust
 from process.calibration.light_plane.surfaces import Surface, meet
 from process.calibration.light_plane.sweeps import FoldedSweep
-from process.cloud.triangulation import Hits, intersect, plane_table, rays
+from process.cloud.light_planes import plane_table
+from process.cloud.triangulation import Hits, intersect, rays
 
 from .spheres import least_rejected
 

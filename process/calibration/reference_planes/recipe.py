@@ -13,7 +13,7 @@ from acquire.contract.errors import CalibrationError
 from process.calibration.calibration_file import read_document
 from process.calibration.light_plane.sweeps import fold_sweep
 from process.calibration.light_plane.uncertainty import camera_covariance
-from process.cloud.triangulation import planes_at
+from process.cloud.light_planes import planes_at
 from process.results.scan_frames import ScanFrames
 
 from .calibrate import Edges, check_planes, find_edges, fit_reference_planes

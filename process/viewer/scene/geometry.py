@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from acquire.contract.calibration import Calibration, CameraModel, PerFramePlanes
 from acquire.contract.plan import SweepPlan
-from process.cloud.triangulation import planes_at
+from process.cloud.light_planes import planes_at
 from process.viewer.rig_client.tile import BoundingBox
 
 MAX_FIELD_MM = 10_000.0

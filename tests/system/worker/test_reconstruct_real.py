@@ -18,7 +18,8 @@ from plyfile import PlyData
 
 from acquire.contract.calibration import load_calibration
 from acquire.importing.folder import import_folder
-from process.cloud.triangulation import planes_at, rays
+from process.cloud.light_planes import planes_at
+from process.cloud.triangulation import rays
 from process.results.reconstruct import Summary, reconstruct
 from process.results.settings import ReconstructOptions
 from tests import ROOT

@@ -14,7 +14,8 @@ from plyfile import PlyData
 from acquire.contract.calibration import load_calibration
 from acquire.contract.errors import CalibrationError
 from process.calibration.original_program import pattern_normal, read_calibration_txt, read_projector_txt
-from process.cloud.triangulation import Hits, intersect, plane_table, rays
+from process.cloud.light_planes import plane_table
+from process.cloud.triangulation import Hits, intersect, rays
 from tui.cli import cli
 
 K = np.array([[11560.0, 0.0, 692.1], [0.0, 11530.0, 591.6], [0.0, 0.0, 1.0]])

@@ -11,8 +11,9 @@ from plyfile import PlyData, PlyElement
 from acquire.contract.calibration import CameraModel, TranslatingPlane
 from acquire.contract.errors import ScanFileError
 from process.cloud.cloud import PointCloud, make_cloud
+from process.cloud.light_planes import plane_table
 from process.cloud.ply import VERTEX, read_vertices, write_ply
-from process.cloud.triangulation import plane_table, rays
+from process.cloud.triangulation import rays
 from tests.needs import OPEN3D, need, need_module
 
 CAMERA = CameraModel(

@@ -9,7 +9,8 @@ import pytest
 
 from acquire.contract.calibration import CameraModel, PerFramePlanes, parse_calibration
 from acquire.contract.errors import CalibrationError
-from process.cloud.triangulation import Hits, intersect, plane_table, planes_at, rays
+from process.cloud.light_planes import plane_table, planes_at
+from process.cloud.triangulation import Hits, intersect, rays
 
 EYE = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 CAMERA = CameraModel(width=4, height=4, K=((4.0, 0.0, 1.5), (0.0, 4.0, 1.5), (0.0, 0.0, 1.0)), R=EYE, T=(0.0, 0.0, 0.0))

@@ -8,7 +8,8 @@ import pytest
 
 from acquire.contract.calibration import CameraModel, PerFramePlanes, TranslatingPlane
 from acquire.contract.errors import CalibrationError
-from process.cloud.triangulation import Hits, coordinates, intersect, plane_table, planes_at, rays
+from process.cloud.light_planes import coordinates, plane_table, planes_at
+from process.cloud.triangulation import Hits, intersect, rays
 
 WIDTH, HEIGHT = 64, 48
 ROTATION = cv2.Rodrigues(np.array([np.pi - 0.05, 0.03, 0.02]))[0]

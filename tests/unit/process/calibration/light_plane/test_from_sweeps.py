@@ -22,7 +22,8 @@ from process.calibration.light_plane.recipe import rezeroed
 from process.calibration.light_plane.robust import solve
 from process.calibration.light_plane.surfaces import Surface
 from process.calibration.light_plane.sweeps import FoldedSweep, fold_sweep
-from process.calibration.reference_planes.calibrate import ReferenceResult, fit_reference_planes, read_planes
+from process.calibration.reference_planes.recipe import calibrate_sweep
+from process.calibration.reference_planes.result import ReferenceResult
 from process.cloud.triangulation import rays
 from tests.fakes.processes.sweep_source import edge_frames
 from tests.fakes.scans.simulated_scans import plan_of, simulate_sweep
@@ -243,17 +244,10 @@ def test_planes_of_the_public_scan_are_those_of_an_independent_implementation(re
          "--out", str(own)],
     ):  # fmt: skip
         assert CliRunner().invoke(cli, arguments, standalone_mode=False).exception is None
-    sweep = fold_sweep(scan, edge="falling", contrast=50, clean=False)
-    for camera_file in (real_scan / "calibration.json", own):
-        camera = load_calibration(camera_file)[0].camera
-        planes = read_planes(real_scan / "calibration.json", camera)
-        result = fit_reference_planes(sweep.crossing, planes, camera, edge="falling", method="linear")
+    markers = real_scan / "calibration.json"
+    for camera_file in (markers, own):
+        result = calibrate_sweep(scan, camera_file, markers, method="linear", edge="falling", contrast=50)[0]
         angles, gaps = apart(result, given)
         assert len(angles) > 95
         assert np.median(angles) < 0.1 and max(angles) < 0.3, camera_file
         assert np.median(gaps) < 1.0, camera_file
-
-
-def test_one_reference_plane_is_not_enough():
-    with pytest.raises(CalibrationError, match="two reference planes"):
-        fit_reference_planes(np.zeros((4, 4)), [], CAMERA, edge="rising", method="linear")

@@ -135,3 +135,10 @@ def test_the_same_region_for_both_planes_is_refused(tmp_path):
 
 def test_a_region_that_reaches_out_of_the_picture_is_cut(tmp_path):
     assert read(changed(image_region_px=[-5, 300, 4, 60]), tmp_path)[0].region == (0, 255, 4, 60)
+
+
+def test_one_reference_plane_is_not_enough(tmp_path):
+    document = ROOM.planes()
+    del document["reference_planes"]["wall"]
+    with pytest.raises(CalibrationError, match="it takes two reference planes; 1 were given"):
+        read(document, tmp_path)
