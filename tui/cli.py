@@ -72,13 +72,21 @@ def _run(arguments: Sequence[str]) -> int:
     except click.ClickException as error:
         return _complain(error.format_message() + _where_to_look(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt, SystemExit) as error:
-        # SystemExit is click's answer to a broken pipe
-        return EXIT_NOT_READ if isinstance(error, SystemExit) else EXIT_INTERRUPTED
+        return _broken_off(error)
     except Exception as error:  # noqa: BLE001 - outermost: any error is printed on one line
         if "--debug" in arguments:
             traceback.print_exc()
         return _unexpected(error)
     return status if isinstance(status, int) else 0
+
+
+def _broken_off(error: BaseException) -> int:
+    """Ctrl-C, a question without a yes, or nobody who reads on."""
+    if isinstance(error, SystemExit):  # click's answer to a broken pipe
+        return EXIT_NOT_READ
+    if isinstance(error, click.Abort) and error.__cause__ is None:  # Ctrl-C is a cause, an answer is none
+        return _complain("no yes: nothing was done", EXIT_INTERRUPTED)
+    return EXIT_INTERRUPTED
 
 
 def _complain(text: str, exit_status: int) -> int:

@@ -7,6 +7,7 @@ fdatasync. See docs/design.md, section 6.
 from __future__ import annotations
 
 import errno
+import logging
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -36,6 +37,7 @@ from .create_file import ScanRecipe, create_file, reserve_and_sync
 from .disk import disk_error, rename_new
 from .frame_store import USABLE, FrameRefusedError, ScanStore, write_at
 
+logger = logging.getLogger(__name__)
 Pixels = bytes | memoryview | NDArray[Any]
 
 
@@ -155,7 +157,9 @@ class ScanFile(ScanStore):
             nbytes = reader.layout.frame_nbytes * (reader.layout.count - int(reader.present().sum()))
         try:
             reserved = reserve_and_sync(sealed)
-            (folder / COPIES_NAME).unlink(missing_ok=True)
+            if (folder / COPIES_NAME).exists():
+                (folder / COPIES_NAME).unlink()
+                logger.warning("copies of %s are of the scan as it was stopped: copy it again when it is done", folder)
             rename_new(sealed, partial)
             sync(folder)
         except OSError as error:

@@ -11,27 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.fakes.scans.small_scans import make_scan
+from tests.fakes.scans.small_scans import CALIBRATION, make_scan
 
 BAD_BYTE = os.fsdecode(b"bad\xff")
-CALIBRATION = {
-    "format": "sweepscope-calibration",
-    "version": 1,
-    "camera": {
-        "width": 64,
-        "height": 48,
-        "K": [[100, 0, 32], [0, 100, 24], [0, 0, 1]],
-        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        "T": [0, 0, 100],
-    },
-    "light_plane": {
-        "kind": "translating",
-        "parameter": "position_um",
-        "normal": [1, 0, 0],
-        "corner_origin_mm": [0, 0, 0],
-        "corner_velocity_mm": [0.001, 0, 0],
-    },
-}
 
 CONFIGS: dict[str, bytes] = {
     "good.toml": b"[camera]\ngain = 3.5\n",

@@ -43,7 +43,7 @@ class FramePlane:
     source: str
     """What it is made of: ``two lines``, a line and the light point, or the frames between which it lies."""
     covariance: F8 | None = None
-    """[2, 2] of its distance in mm at the middle of the scene and its direction in degrees (worst), by its lines."""
+    """[3, 3] of its offset at the middle of its lines in mm and two turns in radians, by the scatter of its lines."""
 
 
 @dataclass(frozen=True)

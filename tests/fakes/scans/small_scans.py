@@ -15,6 +15,26 @@ from tests.fakes.scans.frames import image_of, pixels_of, start_of
 
 COUNT = 8
 
+CALIBRATION = {
+    "format": "sweepscope-calibration",
+    "version": 1,
+    "camera": {
+        "width": 64,
+        "height": 48,
+        "K": [[100, 0, 32], [0, 100, 24], [0, 0, 1]],
+        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "T": [0, 0, 100],
+    },
+    "light_plane": {
+        "kind": "translating",
+        "parameter": "position_um",
+        "normal": [1, 0, 0],
+        "corner_origin_mm": [0, 0, 0],
+        "corner_velocity_mm": [0.001, 0, 0],
+    },
+}
+"""A whole calibration.json as its object: a camera of 64 x 48 pixels and a light plane that moves."""
+
 
 def make_scan(
     folder: Path,

@@ -518,11 +518,11 @@ def test_a_scan_that_ended_otherwise_stays_sealed(start: Start, outcome: Outcome
     assert (Path(start.path) / "scan.h5").read_bytes() == before
 
 
-def test_copies_of_the_stopped_scan_no_longer_count(start: Start) -> None:
+def test_copies_of_the_stopped_scan_no_longer_count(start: Start, caplog: pytest.LogCaptureFixture) -> None:
     folder = stopped(start)
     (folder / "copies.json").write_text("[]")
     ScanFile.reopen(folder).close()
-    assert not (folder / "copies.json").exists()
+    assert not (folder / "copies.json").exists() and "copy it again" in caplog.text
 
 
 def test_a_stopped_scan_whose_space_was_given_back_reserves_it_again_or_stays_sealed(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 from datetime import UTC, datetime
@@ -154,6 +155,14 @@ def test_copies_to_impossible_places_are_refused_before_anything_is_written(tmp_
     (folder / "sub").mkdir()
     with pytest.raises(ScanFileError, match="no file of a scan"):
         copy_scan(folder, tmp_path)
+
+
+def test_trash_without_an_answer_moves_nothing_and_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("SWEEPSCOPE_STORAGE__DATA_DIR", str(tmp_path))
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    folder = make_scan(tmp_path / "a")
+    assert run(["trash", str(folder)]) == 130 and folder.is_dir()
+    assert "sweepscope: no yes: nothing was done" in capsys.readouterr().err
 
 
 def test_the_trash_keeps_everything_and_takes_a_second_scan_of_the_same_name(tmp_path, monkeypatch):

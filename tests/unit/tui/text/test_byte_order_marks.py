@@ -17,21 +17,11 @@ from acquire.contract.scan_data.reader import read_marks
 from acquire.contract.scan_data.report_file import read_report
 from acquire.remote.keys import load_allowed
 from process.calibration.quarter_circle.clicks import read_clicks
+from tests.fakes.scans.small_scans import CALIBRATION
 from tui.console.keys import load_keymap
 from tui.scans.copies import copies_of
 from tui.scans.json_file import read_object
 
-CALIBRATION = {
-    "format": "sweepscope-calibration",
-    "version": 1,
-    "camera": {
-        "width": 64,
-        "height": 48,
-        "K": [[100, 0, 32], [0, 100, 24], [0, 0, 1]],
-        "R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        "T": [0, 0, 100],
-    },
-}
 CLICK = {"point": "corner", "frame": 1, "x": 2.0, "y": 3.0}
 KEY = "a" * 40
 
